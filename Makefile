@@ -227,7 +227,7 @@ $(DONE)/packages: tools/link_packages.py $(DONE)/interfaces $(DONE)/standard-int
 # A compiled function keeps what it was compiled from, also when a function of another file that it calls has changed
 COMPILED := $(shell grep -rlE "compiled|njit" src/tpgmm_core/tpgmm_core --include="*.py")
 $(DONE)/kernels: $(DONE)/packages $(COMPILED)
-	$(call say,compiled kernels (3 to 4 minutes; more beside other work))
+	$(call say,compiled kernels (2 minutes; more beside other work))
 	@find src/tpgmm_core/tpgmm_core -name "*.nb[ic]" -delete
-	@$(call progress,kernels) $(PYTHON) -m tpgmm_core.warm_up
+	@$(call progress,kernels) env NUMBA_OPT=2 $(PYTHON) -m tpgmm_core.warm_up
 	@touch $@

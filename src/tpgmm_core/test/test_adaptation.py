@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from random_problems import random_covariance, random_quaternion, random_rotation
 from tpgmm_core import TPGMM, Adapter, Frame, Gaussian, GaussianMixture, Manifold
-from tpgmm_core.model import kernels_regress
+from tpgmm_core.model import kernels_adapt, kernels_regress
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
 from tpgmm_core.retrieval.regression import AdaptThenRegress, RegressThenProduct
 from tpgmm_core.warm_up import warm_up
@@ -214,14 +214,15 @@ def test_results_are_the_callers_to_keep() -> None:
 
 def test_no_step_waits_for_the_compiler() -> None:
     warm_up()
-    before = len(kernels_regress.adapt_and_regress.signatures)
+    kernels = kernels_adapt.adapt, kernels_regress.regress_all
+    before = [len(kernel.signatures) for kernel in kernels]
     model = TPGMM(3, manifold="R1 x R3 x S3").fit(pose_demonstrations(2, n_samples=30))
     Adapter(model).adapt_and_condition(pose_demonstrations(1)[0].frames, np.array([0.2]))
     rng = np.random.default_rng(9)
     flat = model_of("euclidean", {"a": 3, "b": 2}, 2, rng)
     frames = {"a": Frame(np.eye(3), np.zeros(3)), "b": Frame(np.eye(3, 2), np.zeros(3))}
     Adapter(flat).adapt_and_condition(frames, [0.0, 1.0], {"a": 0.5}, np.zeros(3))
-    assert len(kernels_regress.adapt_and_regress.signatures) == before == 1
+    assert [len(kernel.signatures) for kernel in kernels] == before == [1, 1]
 
 
 def test_bad_situations_are_refused_with_the_reason() -> None:

@@ -52,6 +52,23 @@ def test_compiled_code_does_not_ask_by_subtraction() -> None:
         assert not names & {"isfinite", "isinf"}, f"{path.name}, {function.name}: use kernels.is_finite"
 
 
+@pytest.mark.parametrize(("n", "width"), [(1, 1), (3, 3), (7, 2), (14, 28)])
+def test_systems_are_solved_as_by_numpy(n: int, width: int) -> None:
+    for W in (rng.normal(size=(n, n)), np.eye(n)[::-1] + 0.0, random_covariance(rng, n)):
+        X = rng.normal(size=(n, width))
+        found = X.copy()
+        assert kernels.solve_in_place(W.copy(), found, 0.0)
+        np.testing.assert_allclose(found, np.linalg.solve(W, X), rtol=1e-7, atol=1e-9)
+
+
+def test_singular_systems_are_told() -> None:
+    for W in (np.zeros((2, 2)), np.ones((2, 2)), np.full((2, 2), np.nan)):
+        assert not kernels.solve_in_place(W.copy(), np.eye(2), 0.0)
+    nearly = np.diag([1.0, 1e-9])
+    assert kernels.solve_in_place(nearly.copy(), np.eye(2), 1e-12)
+    assert not kernels.solve_in_place(nearly.copy(), np.eye(2), 1e-6)
+
+
 def test_exp_is_exact_to_rounding_where_it_matters() -> None:
     x = -np.r_[0.0, np.logspace(-18, np.log10(700.0), 5000), 0.5 * np.log(2.0) * np.arange(200)]
     bits = np.empty(len(x), dtype=np.int64)

@@ -13,7 +13,7 @@ from tpgmm_core import Demonstration, Frame, Gaussian
 from tpgmm_core.geometry.manifold import POSE, Manifold
 from tpgmm_core.learning.shown_to_frame import isotropic_blocks
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
-from tpgmm_core.retrieval.time_steps import TimeSteps, product_at
+from tpgmm_core.retrieval.time_steps import TimeSteps, views_at
 from worlds import planar_demonstrations
 
 OVER_POSES = "R1 x R3 x S3"
@@ -124,11 +124,11 @@ def test_a_frame_that_saw_nothing_at_a_time_has_no_say_there() -> None:
 
 def test_no_step_waits_for_the_compiler() -> None:
     movement = TimeSteps(learned())
-    compiled = list(product_at.signatures)
+    compiled = list(views_at.signatures)
     movement.situate(frames_at(start=place(0.1, 0.2, 0.3), object=place(0.6, -0.2, -0.8)), weights={"start": 0.5})
     movement.at(0.005 * np.arange(3))
     movement.at(np.zeros(1))
-    assert compiled and list(product_at.signatures) == compiled
+    assert compiled and list(views_at.signatures) == compiled
 
 
 def test_blocks_are_the_factors_of_the_space() -> None:

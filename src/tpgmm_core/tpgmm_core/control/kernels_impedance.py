@@ -176,10 +176,12 @@ def arm_torques(
     if not operational_space(J, M_arm, length, max_inertia, Lambda, torques, accelerations):
         return -1
     pose_difference(pose, goal, error)
-    pull, brake = goal_acceleration.copy(), np.zeros(6)
-    multiply_add(K_P, share * share * error, pull)
+    pull, brake, off, slip = goal_acceleration.copy(), np.zeros(6), np.empty(6), np.empty(6)
+    for i in range(6):
+        off[i], slip[i] = share * share * error[i], share * (goal_twist[i] - twist[i])
+    multiply_add(K_P, off, pull)
     bound_twist(pull, max_linear_acceleration, max_angular_acceleration)
-    multiply_add(K_V, share * (goal_twist - twist), brake)
+    multiply_add(K_V, slip, brake)
     posture, wanted = np.empty(n), np.zeros(n)
     for i in range(n):
         k = arm[i]
@@ -219,6 +221,10 @@ def arm_torques(
     for i in range(n):
         feedback[arm[i]] = braking * damper[i] + pulling * spring[i]
         null_space[arm[i]] = braking * free[i]
-    stiffness[:] = weight * share * share * (Lambda @ K_P)
-    damping[:] = weight * share * (Lambda @ K_V)
+    for i in range(6):
+        for j in range(6):
+            stiffness[i, j] = damping[i, j] = 0.0
+            for k in range(6):
+                stiffness[i, j] += weight * share * share * Lambda[i, k] * K_P[k, j]
+                damping[i, j] += weight * share * Lambda[i, k] * K_V[k, j]
     return 1 if min(braking, pulling) < 1.0 else 0

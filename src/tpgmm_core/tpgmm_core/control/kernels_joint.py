@@ -81,7 +81,12 @@ def precision_damping(
         for i in range(n):
             vectors[i, k] *= root
     modes = L @ vectors
-    D[:] = modes @ modes.T
+    for i in range(n):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(n):
+                total += modes[i, k] * modes[j, k]
+            D[i, j] = D[j, i] = total
     return rate  # eigenvalues come in ascending order
 
 

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower, is_finite
+from tpgmm_core.geometry.kernels import cholesky, compiled, gram, inlined, invert_lower, is_finite
 
 
 @compiled
@@ -42,7 +42,7 @@ def invert_inertia(M: Array, inverse: Array) -> bool:
     return True
 
 
-@compiled
+@inlined
 def operational_space(
     J: Array, M: Array, length: float, max_inertia: float, Lambda: Array, torques: Array, accelerations: Array
 ) -> bool:
@@ -75,10 +75,17 @@ def operational_space(
     inverse = np.empty((n, n))
     if not invert_inertia(M, inverse):
         return False
-    accelerations[:] = J @ inverse
-    mobility = accelerations @ J.T
+    mobility = np.empty((6, 6))
+    for i in range(6):
+        for j in range(n):
+            accelerations[i, j] = 0.0
+            for k in range(n):
+                accelerations[i, j] += J[i, k] * inverse[k, j]
     for i in range(6):
         for j in range(6):
+            mobility[i, j] = 0.0
+            for k in range(n):
+                mobility[i, j] += accelerations[i, k] * J[j, k]
             if not is_finite(mobility[i, j]):
                 return False
             mobility[i, j] *= (1.0 if i < 3 else length) * (1.0 if j < 3 else length)
@@ -92,5 +99,9 @@ def operational_space(
             for k in range(6):
                 total += axes[i, k] * axes[j, k] / max(eigenvalues[k], 1.0 / max_inertia)
             Lambda[i, j] = total
-    torques[:] = J.T @ Lambda
+    for i in range(n):
+        for j in range(6):
+            torques[i, j] = 0.0
+            for k in range(6):
+                torques[i, j] += J[k, i] * Lambda[k, j]
     return True

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled, is_finite
+from tpgmm_core.geometry.kernels import compiled, inlined, is_finite
 
 
 @compiled
@@ -77,7 +77,7 @@ def approach_speed(distance: float, max_speed: float, approach_rate: float) -> f
     return clamp(approach_rate * distance, -max_speed, max_speed)
 
 
-@compiled
+@inlined
 def clamp_at_limits(
     tau: Array,
     q: Array,
@@ -132,7 +132,7 @@ def clamp_at_limits(
     return changed
 
 
-@compiled
+@inlined
 def repel(
     tau: Array, q: Array, v: Array, mass: Array, lower: Array, upper: Array, margin: float, frequency: float
 ) -> bool:
@@ -178,7 +178,7 @@ def repel(
     return pushed
 
 
-@compiled
+@inlined
 def torque_bounds(effort: Array, previous: Array, max_change: Array, lowest: Array, highest: Array) -> None:
     """Torques that keep the effort limit and the rate limit: one interval per joint, never empty.
 
@@ -201,7 +201,7 @@ def torque_bounds(effort: Array, previous: Array, max_change: Array, lowest: Arr
             highest[i] = min(highest[i], before + max_change[i])
 
 
-@compiled
+@inlined
 def keep_within(tau: Array, lowest: Array, highest: Array) -> bool:
     """Limit torques to bounds.
 
@@ -226,7 +226,7 @@ def keep_within(tau: Array, lowest: Array, highest: Array) -> bool:
     return changed
 
 
-@compiled
+@inlined
 def injected_power(tau: Array, v: Array, nonlinear: Array) -> float:
     """Power that torques put into the motion, (tau - nonlinear)^T v: beyond lifting the robot's own weight.
 
@@ -250,7 +250,7 @@ def injected_power(tau: Array, v: Array, nonlinear: Array) -> float:
     return power
 
 
-@compiled
+@inlined
 def limit_power(tau: Array, v: Array, nonlinear: Array, max_power: float, lowest: Array, highest: Array) -> bool:
     """Scale down the torques that drive joints until the injected power is within a bound.
 

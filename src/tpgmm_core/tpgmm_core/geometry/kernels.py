@@ -16,8 +16,15 @@ import numpy as np
 from tpgmm_core.common.constants import ORTHOGONAL
 from tpgmm_core.common.types import Array
 
+# Exact: as written, but for what IEEE 754 leaves open. Nothing calls from C.
+EXACT: Any = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 # Sums may be reordered and fused so that they vectorise; NaN and infinity keep their meaning.
-compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+FAST: Any = {**EXACT, "fastmath": {"reassoc", "contract", "nsz"}}
+# What takes the compiler long is written otherwise here: `a[:] = b` between arrays brings the words of a mismatch of
+# shapes into each function that uses it, and into its callers; an expression of arrays makes a loop for each layout.
+compiled: Any = numba.njit(**FAST)
+# For functions with one caller: compiled as a part of it, and not by themselves as well.
+inlined: Any = numba.njit(**FAST, inline="always")
 
 
 @compiled
@@ -28,6 +35,21 @@ def is_finite(x: float) -> bool:
     reordered, the difference of two equal sums is 0 whatever they are.
     """
     return abs(x) < np.inf
+
+
+@compiled
+def copy(source: Array, out: Array) -> None:
+    """Write source (n,) into out (n,)."""
+    for i in range(len(source)):
+        out[i] = source[i]
+
+
+@compiled
+def copy_rows(source: Array, out: Array) -> None:
+    """Write source (m, n) into out (m, n)."""
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            out[i, j] = source[i, j]
 
 
 @compiled
@@ -177,38 +199,70 @@ def pseudo_inverse(A: Array, tolerance: float) -> Array:
     if n == n_j:
         if is_orthogonal(A):
             return A.T.copy()
-        W = A.copy()
-        inverse = np.eye(n)
-        regular = True
-        largest_pivot, smallest_pivot = 0.0, np.inf
-        for c in range(n):
-            p = c
-            for i in range(c + 1, n):
-                if abs(W[i, c]) > abs(W[p, c]):
-                    p = i
-            pivot = W[p, c]
-            largest_pivot, smallest_pivot = max(largest_pivot, abs(pivot)), min(smallest_pivot, abs(pivot))
-            if not smallest_pivot > 1e-6 * largest_pivot:  # doubtful: the singular values decide
-                regular = False
-                break
-            for m in range(n):
-                scaled, scaled_inverse = W[p, m] / pivot, inverse[p, m] / pivot
-                W[p, m], inverse[p, m] = W[c, m], inverse[c, m]
-                W[c, m], inverse[c, m] = scaled, scaled_inverse
-            for i in range(n):
-                f = W[i, c]
-                if i != c and f != 0.0:
-                    for m in range(n):
-                        W[i, m] -= f * W[c, m]
-                        inverse[i, m] -= f * inverse[c, m]
-        if regular:
+        inverse = np.zeros((n, n))
+        for i in range(n):
+            inverse[i, i] = 1.0
+        if solve_in_place(A.copy(), inverse, 1e-6):  # where it is doubtful, the singular values decide
             return inverse
     U, s, Vt = np.linalg.svd(A, False)
-    for i in range(len(s)):
-        factor = 1.0 / s[i] if s[i] > tolerance * s[0] else 0.0
-        for m in range(n_j):
-            Vt[i, m] *= factor
-    return np.ascontiguousarray(Vt.T) @ np.ascontiguousarray(U.T)
+    inverse = np.zeros((n_j, n))
+    for k in range(len(s)):
+        if s[k] > tolerance * s[0]:
+            for i in range(n_j):
+                for m in range(n):
+                    inverse[i, m] += Vt[k, i] / s[k] * U[m, k]
+    return inverse
+
+
+@compiled
+def solve_in_place(W: Array, X: Array, least_pivot: float) -> bool:
+    """Solve W Y = X by Gaussian elimination with row pivots.
+
+    Parameters
+    ----------
+    W
+        (n, n), changed
+    X
+        (n, m), becomes Y
+    least_pivot
+        ratio of the smallest to the largest pivot, above which W counts as regular
+
+    Returns
+    -------
+    bool
+        False where W does not; then both arrays mean nothing
+    """
+    n, width = X.shape
+    largest_pivot, smallest_pivot = 0.0, np.inf
+    for c in range(n):
+        p = c
+        for i in range(c + 1, n):
+            if abs(W[i, c]) > abs(W[p, c]):
+                p = i
+        pivot = W[p, c]
+        largest_pivot, smallest_pivot = max(largest_pivot, abs(pivot)), min(smallest_pivot, abs(pivot))
+        if not abs(pivot) > 0.0 or not smallest_pivot > least_pivot * largest_pivot:
+            return False
+        if p != c:
+            for m in range(c, n):
+                W[p, m], W[c, m] = W[c, m], W[p, m]
+            for m in range(width):
+                X[p, m], X[c, m] = X[c, m], X[p, m]
+        for i in range(c + 1, n):
+            f = W[i, c] / pivot
+            if f != 0.0:
+                for m in range(c + 1, n):
+                    W[i, m] -= f * W[c, m]
+                for m in range(width):
+                    X[i, m] -= f * X[c, m]
+    for c in range(n - 1, -1, -1):
+        for i in range(c + 1, n):
+            f = W[c, i]
+            for m in range(width):
+                X[c, m] -= f * X[i, m]
+        for m in range(width):
+            X[c, m] /= W[c, c]
+    return True
 
 
 @compiled

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import cholesky, compiled, exp_in_place, invert_lower
+from tpgmm_core.geometry.kernels import cholesky, compiled, exp_in_place, inlined, invert_lower
 from tpgmm_core.geometry.kernels_moments import NEGLIGIBLE
 from tpgmm_core.geometry.kernels_rotation import quaternion_difference
 
@@ -197,7 +197,7 @@ def factorise(
     return -1
 
 
-@compiled
+@inlined
 def given_differences(values: Array, mean: Array, flat: Array, spheres: Array, out: Array) -> None:
     """Tangent vectors from a mean to all values, side by side.
 

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
+from tpgmm_core.geometry.kernels import cholesky, gram, inlined, invert_lower
 from tpgmm_core.geometry.kernels_rotation import inverse_left_jacobian
 
 
-@compiled
+@inlined
 def sort_dimensions(flat: Array, spheres: Array) -> NDArray[np.int64]:
     """The tangent dimensions, those of R^n first.
 
@@ -45,7 +45,7 @@ def sort_dimensions(flat: Array, spheres: Array) -> NDArray[np.int64]:
     return order
 
 
-@compiled
+@inlined
 def sort_terms(precisions: Array, weights: Array, order: Array, rest: int, out: Array, L: Array) -> bool:
     """Put the terms' precisions into an order, and factorise the part of their sum that stays.
 
@@ -85,7 +85,7 @@ def sort_terms(precisions: Array, weights: Array, order: Array, rest: int, out: 
     return bool(cholesky(H, rest, L))
 
 
-@compiled
+@inlined
 def add_sorted(precision: Array, e: Array, rest: int, J: Array, force: Array, gradient: Array, H: Array) -> float:
     """Add one term to the gradient and to the last rows of the Hessian.
 
@@ -138,7 +138,7 @@ def add_sorted(precision: Array, e: Array, rest: int, J: Array, force: Array, gr
     return cost
 
 
-@compiled
+@inlined
 def solve_sorted(H: Array, gradient: Array, rest: int, L: Array, step: Array) -> bool:
     """Complete the factor, and make the Gauss-Newton step.
 
@@ -182,7 +182,7 @@ def solve_sorted(H: Array, gradient: Array, rest: int, L: Array, step: Array) ->
     return True
 
 
-@compiled
+@inlined
 def invert_sorted(L: Array, order: Array, scratch: Array, covariance: Array) -> float:
     """The inverse of a factorised Hessian, in the manifold's own order.
 

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import cholesky, compiled, is_finite
+from tpgmm_core.geometry.kernels import cholesky, compiled, inlined, is_finite
 from tpgmm_core.geometry.kernels_activation import SMALLEST, activate, factorise
 from tpgmm_core.geometry.kernels_moments import NEGLIGIBLE, match_curved, match_flat
 
@@ -23,7 +23,7 @@ NOT_FINITE = -2  # what `condition` returns for values that are not numbers
 TOO_FAR = -3  # and for values whose distance from all components is not finite
 
 
-@compiled
+@inlined
 def plan_parts(
     plan: Array,
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array]:

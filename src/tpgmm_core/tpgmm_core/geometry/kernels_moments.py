@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import copy, copy_rows, inlined
 from tpgmm_core.geometry.kernels_manifold import along, difference, longest, move
 from tpgmm_core.geometry.kernels_product import MAX_STEPS
 from tpgmm_core.geometry.kernels_rotation import quaternion_difference, rotation, turn
@@ -18,7 +18,7 @@ MEAN_TOLERANCE = 1e-13  # the weighted mean on S³ stops at steps shorter than t
 NEAR = math.cos(0.25 * math.pi)  # scalar product of quaternions that are a turn of pi / 2 apart
 
 
-@compiled
+@inlined
 def match_flat(
     active: Array, h: Array, means: Array, steps: Array, within: Array, start: int, size: int,
     out_means: Array, out_covariances: Array,
@@ -74,7 +74,7 @@ def match_flat(
                     other[c] = total[c]
 
 
-@compiled
+@inlined
 def match_curved(
     h: Array, means: Array, steps: Array, within: Array, flat: Array, spheres: Array, mean: Array, covariance: Array
 ) -> None:
@@ -109,7 +109,7 @@ def match_curved(
         if h[k] > h[likeliest]:
             likeliest = k
     active = active[:n_active]
-    mean[:] = conditionals[likeliest]
+    copy(conditionals[likeliest], mean)
     for s in range(len(spheres)):
         a = spheres[s, 0]
         is_far = False
@@ -122,7 +122,9 @@ def match_curved(
                 for i in range(4):
                     for m in range(4):
                         moments[i, m] += h[j] * conditionals[j, a + i] * conditionals[j, a + m]
-            mean[a : a + 4] = np.linalg.eigh(moments)[1][:, 3]
+            axes = np.linalg.eigh(moments)[1]
+            for i in range(4):
+                mean[a + i] = axes[i, 3]
     for _ in range(MAX_STEPS):
         step[:] = 0.0
         for j in active:
@@ -136,7 +138,7 @@ def match_curved(
     C, R, q = np.empty((n, n)), np.empty((3, 3)), np.empty(4)
     for j in active:
         difference(conditionals[j], mean, flat, spheres, e[j])
-        C[:] = within[j]
+        copy_rows(within[j], C)
         for s in range(len(spheres)):
             a, t = spheres[s]
             # half the shortest turn from the component's mean to its conditional one, and from there to the mixture's
@@ -158,7 +160,7 @@ def match_curved(
             covariance[m, i] = covariance[i, m]
 
 
-@compiled
+@inlined
 def rotate(C: Array, t: int, R: Array) -> None:
     """C ← R C R^T for three of the dimensions.
 

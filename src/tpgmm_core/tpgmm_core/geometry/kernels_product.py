@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled, copy, copy_rows
 from tpgmm_core.geometry.kernels_by_parts import add_sorted, invert_sorted, solve_sorted, sort_dimensions, sort_terms
 from tpgmm_core.geometry.kernels_manifold import along, continued_difference, longest, move
 from tpgmm_core.geometry.kernels_terms import add_error, choose_ways, invert_precision, scratch_for
@@ -61,11 +61,11 @@ def fuse(
         False without convergence in MAX_STEPS, as when correlations ask for more than a whole turn; mean and covariance
         then mean nothing
     """
-    if len(spheres) > 0:
-        found = search(targets, precisions, weights, state, min_precision, flat, spheres, True, mean, covariance)
+    found = UNSURE
+    for by_parts in (len(spheres) > 0, False):  # a variable: for two constants `search` would be compiled twice
+        found = search(targets, precisions, weights, state, min_precision, flat, spheres, by_parts, mean, covariance)
         if found != UNSURE:
-            return bool(found == FOUND)
-    found = search(targets, precisions, weights, state, min_precision, flat, spheres, False, mean, covariance)
+            break
     return bool(found == FOUND)
 
 
@@ -96,7 +96,7 @@ def search(
     step, former_step, scratch = np.zeros(n), np.zeros(n), scratch_for(n)
     # starting from the surest term keeps the residuals on S³ small
     surest = 0.0
-    mean[:] = state
+    copy(state, mean)
     for j in range(P):
         trace = 0.0
         for i in range(n):
@@ -104,9 +104,10 @@ def search(
                 trace += precisions[j, i, i]
         if weights[j] > 0.0 and trace > surest:
             surest = trace
-            mean[:] = targets[j]
+            copy(targets[j], mean)
     signed = np.empty((P + 1, targets.shape[1]))  # the last one is the state
-    signed[:P], signed[P] = targets, state
+    copy_rows(targets, signed)
+    copy(state, signed[P])
     for s in range(len(spheres)):
         a = spheres[s, 0]
         for j in range(P + 1):
@@ -167,7 +168,7 @@ def search(
             squared += step[i] * step[i]
             former_squared += former_step[i] * former_step[i]
         is_short = longest(step) < STEP_TOLERANCE or (gain < ROUNDED_GAIN and gain > 0.25 * former_gain)
-        former_step[:] = step
+        copy(step, former_step)
         is_along = repeated > 0.5 * former_squared and repeated * repeated > 0.8 * squared * former_squared
         if is_plain and not is_short and is_along:
             rate = min(repeated / former_squared, SLOWEST_RATE)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled, inlined
 
 
 @compiled
@@ -105,7 +105,7 @@ def rotation(x: float, y: float, z: float, w: float, R: Array) -> None:
     R[2, 0], R[2, 1], R[2, 2] = 2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)
 
 
-@compiled
+@inlined
 def rotation_of_left_matrix(L: Array, R: Array) -> bool:
     """R (3, 3) of the left multiplication L(q) (4, 4); False when L is no left multiplication by a unit quaternion."""
     x, y, z, w = L[0, 3], L[1, 3], L[2, 3], L[3, 3]

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
+from tpgmm_core.geometry.kernels import cholesky, compiled, gram, inlined, invert_lower
 from tpgmm_core.geometry.kernels_manifold import along, continued_difference, difference
 from tpgmm_core.geometry.kernels_rotation import inverse_left_jacobian
 
@@ -163,10 +163,14 @@ def invert_precision(
     values, vectors = np.linalg.eigh(H)
     # rounding of a large precision must not count as information about the free directions
     lowest = max(min_precision, 1e-13 * values[-1])
-    missing = (vectors * np.maximum(lowest - values, 0.0)) @ vectors.T
-    cost = add_term(x, state, missing, flat, spheres, scratch, gradient, H)
-    roots = vectors / np.sqrt(np.maximum(values, lowest))
-    covariance[:] = roots @ roots.T
+    missing = np.zeros((n, n))
+    for i in range(n):
+        for m in range(n):
+            covariance[i, m] = 0.0
+            for k in range(n):
+                missing[i, m] += vectors[i, k] * vectors[m, k] * max(lowest - values[k], 0.0)
+                covariance[i, m] += vectors[i, k] * vectors[m, k] / max(values[k], lowest)
+    cost: float = add_term(x, state, missing, flat, spheres, scratch, gradient, H)
     return cost
 
 
@@ -199,7 +203,7 @@ def term_cost(x: Array, target: Array, precision: Array, flat: Array, spheres: A
     return cost
 
 
-@compiled
+@inlined
 def choose_ways(x: Array, target: Array, precision: Array, flat: Array, spheres: Array, e: Array) -> bool:
     """Change signs of the target's quaternions where the other way round to x costs less.
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import is_finite
+from tpgmm_core.geometry.kernels import EXACT, is_finite
 from tpgmm_core.lqr.riccati import continuous_regulator, discrete_regulator
 
 # Eigenvalues this far below zero, relative to the largest one, are rounding; anything lower is indefinite.
@@ -199,7 +199,7 @@ _BAD_CONTROL_COST, _NOT_FINITE, _NOT_SEMIDEFINITE = 1, 2, 3
 
 
 # With its signature given, this compiles (or loads from the cache) on import: no control step waits for it.
-@numba.njit("i8(f8[:,:,::1], f8[:], f8, f8, f8[:,:,::1], f8[:,:,::1])", cache=True, nogil=True)
+@numba.njit("i8(f8[:,:,::1], f8[:], f8, f8, f8[:,:,::1], f8[:,:,::1])", **EXACT)
 def _closed_form(Q, control_cost, min_stiffness, max_stiffness, K_P, K_V):  # type: ignore[no-untyped-def]
     """Write the gains of the stack Q into K_P and K_V. Returns 0, or one of the codes above."""
     D = Q.shape[1]

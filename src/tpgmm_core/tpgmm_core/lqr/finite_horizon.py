@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import cholesky, gram, invert_lower
+from tpgmm_core.geometry.kernels import EXACT, cholesky, gram, invert_lower, solve_in_place
 from tpgmm_core.lqr.riccati import square_root
 
 
@@ -161,8 +161,7 @@ def checked_problem(
 # With its signature given, this compiles (or loads from the cache) on import: no control step waits for it.
 @numba.njit(
     "i8(f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8, f8[:,:,::1], f8[:,::1])",
-    cache=True,
-    nogil=True,
+    **EXACT,
 )
 def _recursion(A, B, Q, R, r, L, risk, gains, feedforward):  # type: ignore[no-untyped-def]
     """The value of being at x at time t is x^T P x - 2 x^T p + const; writes gains and feedforward.
@@ -181,21 +180,41 @@ def _recursion(A, B, Q, R, r, L, risk, gains, feedforward):  # type: ignore[no-u
             # (P^-1 - theta L L^T)^-1 by Woodbury, which stays symmetric and takes singular P and L
             Lt = L[min(t, len(L) - 1)]
             LP = Lt.T @ P
-            if not cholesky(np.eye(n) - risk * (LP @ Lt), n, factor):
+            left = LP @ Lt
+            for i in range(n):
+                for j in range(n):
+                    left[i, j] = (1.0 if i == j else 0.0) - risk * left[i, j]
+            if not cholesky(left, n, factor):
                 return t
             invert_lower(factor, n, inverse)
             gram(inverse, n, middle)
-            worst_case = risk * (middle @ LP)
-            p = p + worst_case.T @ (Lt.T @ p)
-            P = P + LP.T @ worst_case
+            worst_case = middle @ LP
+            pushed, further = worst_case.T @ (Lt.T @ p), LP.T @ worst_case
+            for i in range(n):
+                p[i] += risk * pushed[i]
+                for j in range(n):
+                    P[i, j] += risk * further[i, j]
         BP = Bt.T @ P
-        columns[:, :n] = BP @ At
-        columns[:, n] = Bt.T @ p
-        solution = np.linalg.solve(Rt + BP @ Bt, columns)
-        gains[t] = solution[:, :n]
-        feedforward[t] = solution[:, n]
-        closed = At - Bt @ gains[t]
-        P = Q[t] + At.T @ (P @ closed)
-        P = 0.5 * (P + P.T)  # rounding must not add up to an asymmetric value
-        p = Q[t] @ r[t] + closed.T @ p
+        system, of_state, of_value = BP @ Bt, BP @ At, Bt.T @ p
+        for i in range(m):
+            columns[i, n] = of_value[i]
+            for j in range(m):
+                system[i, j] += Rt[i, j]
+            for j in range(n):
+                columns[i, j] = of_state[i, j]
+        solve_in_place(system, columns, 0.0)  # R is definite, hence the sum
+        for i in range(m):
+            feedforward[t, i] = columns[i, n]
+            for j in range(n):
+                gains[t, i, j] = columns[i, j]
+        closed = Bt @ gains[t]
+        for i in range(n):
+            for j in range(n):
+                closed[i, j] = At[i, j] - closed[i, j]
+        later, own = At.T @ (P @ closed), Q[t] @ r[t]
+        p = closed.T @ p
+        for i in range(n):
+            p[i] += own[i]
+            for j in range(i + 1):  # rounding must not add up to an asymmetric value
+                P[i, j] = P[j, i] = 0.5 * (Q[t, i, j] + Q[t, j, i] + later[i, j] + later[j, i])
     return -1

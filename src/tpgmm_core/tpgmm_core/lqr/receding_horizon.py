@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled, solve_in_place
 
 #: Largest share of the control's authority that the worst case takes, or the best case adds.
 LARGEST_SHARE = 0.9
@@ -156,7 +156,7 @@ def modes(
             k[i] = min(max(1.0 / math.sqrt(r * values[i]), lowest), highest)
         share = risk_share * (risk_stiffness / k[i]) ** 2
         g[i] = 1.0 - min(max(share, -LARGEST_SHARE), LARGEST_SHARE)
-    return vectors
+    return np.ascontiguousarray(vectors)
 
 
 @compiled
@@ -188,7 +188,7 @@ def moving_gains(
         P[i, i] = g[i] * both * P[n + i, n + i]
     P = turned(P, np.ascontiguousarray(V.T))
     phi = np.empty((n, 4, 4))
-    X, Y, forward, back = np.empty((2 * n, 2 * n)), np.empty((2 * n, 2 * n)), np.empty(2 * n), np.empty((2 * n, 2 * n))
+    X_T, Y_T, forward = np.empty((2 * n, 2 * n)), np.empty((2 * n, 2 * n)), np.empty(2 * n)
     for t in range(T - 2, -1, -1):
         if t < T - 2:
             # the same velocity has another deviation from the line before
@@ -209,21 +209,21 @@ def moving_gains(
             for i in range(n):
                 for j in range(2 * n):
                     above, below = P[i, j], P[n + i, j]
-                    X[i, j] = phi[i, 0, 2] * above + phi[i, 0, 3] * below
-                    X[n + i, j] = phi[i, 1, 2] * above + phi[i, 1, 3] * below
-                    Y[i, j] = phi[i, 2, 2] * above + phi[i, 2, 3] * below
-                    Y[n + i, j] = phi[i, 3, 2] * above + phi[i, 3, 3] * below
+                    X_T[j, i] = phi[i, 0, 2] * above + phi[i, 0, 3] * below
+                    X_T[j, n + i] = phi[i, 1, 2] * above + phi[i, 1, 3] * below
+                    Y_T[j, i] = phi[i, 2, 2] * above + phi[i, 2, 3] * below
+                    Y_T[j, n + i] = phi[i, 3, 2] * above + phi[i, 3, 3] * below
                 for a in range(2):
-                    X[i, a * n + i] += phi[i, 0, a]
-                    X[n + i, a * n + i] += phi[i, 1, a]
-                    Y[i, a * n + i] += phi[i, 2, a]
-                    Y[n + i, a * n + i] += phi[i, 3, a]
+                    X_T[a * n + i, i] += phi[i, 0, a]
+                    X_T[a * n + i, n + i] += phi[i, 1, a]
+                    Y_T[a * n + i, i] += phi[i, 2, a]
+                    Y_T[a * n + i, n + i] += phi[i, 3, a]
                 forward[i] = phi[i, 0, 2] * p[i] + phi[i, 0, 3] * p[n + i]
                 forward[n + i] = phi[i, 1, 2] * p[i] + phi[i, 1, 3] * p[n + i]
-            back[:] = np.linalg.solve(X.T, Y.T)
+            solve_in_place(X_T, Y_T, 0.0)
             for i in range(2 * n):
                 for j in range(2 * n):
-                    P[i, j] = 0.5 * (back[i, j] + back[j, i])
+                    P[i, j] = 0.5 * (Y_T[i, j] + Y_T[j, i])
             for i in range(n):
                 first = phi[i, 2, 2] * p[i] + phi[i, 2, 3] * p[n + i]
                 second = phi[i, 3, 2] * p[i] + phi[i, 3, 3] * p[n + i]
@@ -233,19 +233,27 @@ def moving_gains(
                     p[i] -= P[i, j] * forward[j]
         V_T = np.ascontiguousarray(V.T)
         P, p = turned(P, V_T), turned_vector(p, V_T)
-    K_P[:] = P[n:, :n]
-    K_V[:] = P[n:, n:]
-    acceleration[:] = p[n:]
+    for i in range(n):
+        acceleration[i] = p[n + i]
+        for j in range(n):
+            K_P[i, j], K_V[i, j] = P[n + i, j], P[n + i, n + j]
 
 
 @compiled
 def turned(P: Array, V: Array) -> Array:
     """A value P (2n, 2n) in the axes that are the columns of V (n, n), for positions and velocities."""
     n = len(V)
-    result, V_T = np.empty((2 * n, 2 * n)), np.ascontiguousarray(V.T)
+    half, result = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
     for a in range(0, 2 * n, n):
+        for i in range(n):
+            for k in range(n):
+                for j in range(2 * n):
+                    half[a + i, j] += V[k, i] * P[a + k, j]
+    for i in range(2 * n):
         for b in range(0, 2 * n, n):
-            result[a : a + n, b : b + n] = V_T @ np.ascontiguousarray(P[a : a + n, b : b + n]) @ V
+            for k in range(n):
+                for j in range(n):
+                    result[i, b + j] += half[i, b + k] * V[k, j]
     return result
 
 
@@ -253,9 +261,11 @@ def turned(P: Array, V: Array) -> Array:
 def turned_vector(p: Array, V: Array) -> Array:
     """A vector p (2n,) in the axes that are the columns of V (n, n)."""
     n = len(V)
-    result = np.empty(2 * n)
-    result[:n] = p[:n] @ V
-    result[n:] = p[n:] @ V
+    result = np.zeros(2 * n)
+    for a in range(0, 2 * n, n):
+        for k in range(n):
+            for j in range(n):
+                result[a + j] += p[a + k] * V[k, j]
     return result
 
 

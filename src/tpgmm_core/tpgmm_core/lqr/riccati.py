@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import solve_continuous_are, solve_discrete_are
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import is_finite
+from tpgmm_core.geometry.kernels import EXACT, is_finite, solve_in_place
 
 MAX_DOUBLINGS = 60
 SMALLEST_RISK = 1e-12  # times the noise: below it, risk is lost in rounding
@@ -167,43 +167,73 @@ def square_root(covariances: ArrayLike) -> Array:
 
 
 # With their signatures given, these compile (or load from the cache) on import: no control step waits for them.
-@numba.njit("Tuple((f8[:,::1], b1))(f8[:,::1], f8[:,::1], f8[:,::1])", cache=True, nogil=True)
+@numba.njit("Tuple((f8[:,::1], b1))(f8[:,::1], f8[:,::1], f8[:,::1])", **EXACT)
 def _discrete(E, G, H):  # type: ignore[no-untyped-def]
     """P of `P = H + E^T P (I + G P)^-1 E`, and whether it converged; writes to its arguments.
 
     After k steps H is the value of a horizon of 2^k.
     """
     n = len(E)
-    columns = np.empty((n, 2 * n))
+    columns, left, right = np.empty((n, 2 * n)), np.empty((n, n)), np.empty((n, n))
     for _ in range(MAX_DOUBLINGS):
-        columns[:, :n] = E
-        columns[:, n:] = G
-        solution = np.linalg.solve(np.eye(n) + G @ H, columns)
-        left, right = np.ascontiguousarray(solution[:, :n]), np.ascontiguousarray(solution[:, n:])
-        gain = E.T @ (H @ left)
-        G = G + E @ (right @ E.T)
-        G = 0.5 * (G + G.T)
-        H = H + 0.5 * (gain + gain.T)
-        E = E @ left
-        change = np.abs(gain).max()
-        if not is_finite(change):
+        system = G @ H
+        for i in range(n):
+            system[i, i] += 1.0
+            for j in range(n):
+                columns[i, j], columns[i, n + j] = E[i, j], G[i, j]
+        if not solve_in_place(system, columns, 0.0):
             return H, False
-        if change <= 1e-15 * np.abs(H).max():
+        for i in range(n):
+            for j in range(n):
+                left[i, j], right[i, j] = columns[i, j], columns[i, n + j]
+        gain, further = E.T @ (H @ left), E @ (right @ E.T)
+        change, largest = 0.0, 0.0
+        for i in range(n):
+            for j in range(i + 1):
+                G[i, j] = G[j, i] = 0.5 * (G[i, j] + G[j, i] + further[i, j] + further[j, i])
+                H[i, j] = H[j, i] = H[i, j] + 0.5 * (gain[i, j] + gain[j, i])
+                if not is_finite(gain[i, j] + gain[j, i]):
+                    return H, False
+                change = max(change, abs(gain[i, j]), abs(gain[j, i]))
+                largest = max(largest, abs(H[i, j]))
+        if change <= 1e-15 * largest:
             return H, True
+        E = E @ left
     return H, False
 
 
-@numba.njit("Tuple((f8[:,::1], b1))(f8[:,::1], f8[:,::1], f8[:,::1])", cache=True, nogil=True)
+@numba.njit("Tuple((f8[:,::1], b1))(f8[:,::1], f8[:,::1], f8[:,::1])", **EXACT)
 def _continuous(A, G, H):  # type: ignore[no-untyped-def]
     """P of `A^T P + P A + H - P G P = 0`, and whether it converged: a Cayley transform, then `_discrete`."""
-    eye = np.eye(len(A))
+    n, a, g, h = len(A), 0.0, 0.0, 0.0
+    for i in range(n):
+        for j in range(n):
+            a += A[i, j] ** 2
+            g += G[i, j] ** 2
+            h += H[i, j] ** 2
     # about as fast as the closed loop: then few doublings are needed
-    rate = max(np.sqrt((A * A).sum()), ((G * G).sum() * (H * H).sum()) ** 0.125)
-    inverse = np.linalg.inv(A - rate * eye)
+    rate = max(np.sqrt(a), (g * h) ** 0.125)
+    shifted, inverse, middle = A.copy(), np.zeros((n, n)), np.zeros((n, n))
+    for i in range(n):
+        shifted[i, i] -= rate
+        inverse[i, i] = middle[i, i] = 1.0
+    if not solve_in_place(shifted, inverse, 0.0):
+        return H, False
     right = inverse @ G
-    middle = np.linalg.inv((A - rate * eye).T + H @ right)
-    E = eye + 2.0 * rate * np.ascontiguousarray(middle.T)
-    return _discrete(E, 2.0 * rate * (right @ middle), 2.0 * rate * (middle @ (H @ inverse)))
+    system = H @ right
+    for i in range(n):
+        system[i, i] -= rate
+        for j in range(n):
+            system[i, j] += A[j, i]
+    if not solve_in_place(system, middle, 0.0):
+        return H, False
+    E, F, value = np.empty((n, n)), right @ middle, middle @ (H @ inverse)
+    for i in range(n):
+        for j in range(n):
+            E[i, j] = 2.0 * rate * middle[j, i] + (1.0 if i == j else 0.0)
+            F[i, j] *= 2.0 * rate
+            value[i, j] *= 2.0 * rate
+    return _discrete(E, F, value)
 
 
 def _with_noise(B: Array, Q: Array, R: Array, W: Array, risk: float) -> tuple[Array, Array, Array]:

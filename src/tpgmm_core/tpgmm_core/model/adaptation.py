@@ -78,10 +78,8 @@ class Adapter:
 
     def _compile(self) -> None:
         """Make one step with one frame at the origin."""
-        frames = self.buffer.identity_frame()
-        self.situate(frames)
+        self.situate(self.buffer.identity_frame())
         if self.manifold.ambient_of_tangent[0] == 0:
-            self.adapt_and_condition(frames, np.zeros(1))
             self.condition(np.zeros(1))
 
     def adapt(
@@ -176,12 +174,8 @@ class Adapter:
         ValueError
             like `adapt`
         """
-        self.buffer.take(frames, state, weights)
-        times = np.array(times, dtype=float)  # of one type for the compiled code
-        means, covariances, activations = outputs = self._outputs(len(times))
-        failed = kernels_regress.adapt_and_regress(*self._inputs(), *self._result(), self._log_priors, times, *outputs)
-        self._check(failed)
-        return means, covariances, activations[0]
+        self.situate(frames, state, weights)
+        return self.condition(times)
 
     def condition(self, times: ArrayLike) -> tuple[Array, Array, Array]:
         """Regression in the situation of the last call, without adapting to it again.
@@ -196,7 +190,7 @@ class Adapter:
         tuple[Array, Array, Array]
             as of `adapt_and_condition`
         """
-        times = np.array(times, dtype=float)
+        times = np.array(times, dtype=float)  # of one type for the compiled code
         means, covariances, activations = outputs = self._outputs(len(times))
         kernels_regress.regress_all(
             self._log_priors, self._means_out, self._covariances_out, *self.buffer.layout, times, *outputs

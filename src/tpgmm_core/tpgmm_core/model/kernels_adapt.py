@@ -13,11 +13,11 @@ import numpy as np
 
 from tpgmm_core.common.constants import RANK_TOLERANCE
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled, invert_side_by_side, is_orthogonal, pseudo_inverse
+from tpgmm_core.geometry.kernels import compiled, copy_rows, inlined, invert_side_by_side, is_orthogonal, pseudo_inverse
 from tpgmm_core.geometry.kernels_product import fuse
 from tpgmm_core.geometry.kernels_rotation import rotation_of_left_matrix
 from tpgmm_core.geometry.kernels_terms import invert_precision, scratch_for
-from tpgmm_core.model.kernels_uncertainty import lessen
+from tpgmm_core.model.kernels_uncertainty import is_uncertain, lessen
 
 
 @compiled
@@ -39,7 +39,7 @@ def tangent_matrix(A: Array, flat: Array, spheres: Array, out: Array) -> bool:
         False when a block on S³ is not L(q)
     """
     if len(spheres) == 0:
-        out[:] = A
+        copy_rows(A, out)
         return True
     n = len(flat)
     for i in range(n):
@@ -88,7 +88,7 @@ def multiply(F: Array, rows: Array, width: int, out: Array) -> None:
                     out[o, c] += f0 * rows[i, c] + f1 * rows[i1, c] + f2 * rows[i2, c] + f3 * rows[i3, c]
 
 
-@compiled
+@inlined
 def view_frame(
     means: Array, precisions: Array, size: Array, flat: Array, spheres: Array, A: Array, b: Array, inverse: Array,
     has_inverse: bool, weight: float, half: Array, turned: Array, targets: Array, terms: Array,
@@ -128,22 +128,24 @@ def view_frame(
     D, K = targets.shape
     D_j, n_j = size
     n = len(flat)
-    tangent = np.empty((n, n_j))
-    if not tangent_matrix(A[:, :D_j], flat, spheres, tangent):
+    tangent, own = np.empty((n, n_j)), np.empty((D, D_j))
+    copy_rows(A[:D, :D_j], own)
+    if not tangent_matrix(own, flat, spheres, tangent):
         return False
-    if has_inverse:
-        M = np.ascontiguousarray(inverse[:D_j].T)
-    elif n == n_j and is_orthogonal(tangent):  # of a rotation, A^+ = A^T
-        M = tangent
-    else:
-        M = np.ascontiguousarray(pseudo_inverse(tangent, RANK_TOLERANCE).T)
+    M = tangent
+    if has_inverse or not (n == n_j and is_orthogonal(tangent)):  # of a rotation, A^+ = A^T
+        of_frame = inverse if has_inverse else pseudo_inverse(tangent, RANK_TOLERANCE)
+        M = np.empty((n, n_j))
+        for i in range(n):
+            for m in range(n_j):
+                M[i, m] = of_frame[m, i]
     multiply(M, precisions, n_j * K, half)
     for i in range(n):
         for m in range(n_j):
             for k in range(K):
                 turned[m, i * K + k] = weight * half[i, m * K + k]
     multiply(M, turned, n * K, terms)
-    multiply(A[:, :D_j], means, K, targets)
+    multiply(own, means, K, targets)
     for i in range(D):
         for k in range(K):
             targets[i, k] += b[i]
@@ -200,7 +202,7 @@ def adapt(
             weights[j], half, turned, targets[j], terms[j],
         ):  # fmt: skip
             return j
-        if np.trace(pose_covariances[j]) > 0.0:
+        if is_uncertain(pose_covariances[j]):
             lessen(pose_covariances[j], weights[j], targets[j], b[j], flat, spheres, terms[j])
     if len(spheres) == 0:
         add_up(weights, targets, terms, state, min_precision, flat, spheres, out_means, out_covariances)
@@ -221,7 +223,7 @@ def adapt(
     return -1
 
 
-@compiled
+@inlined
 def add_up(
     weights: Array, targets: Array, terms: Array, state: Array, min_precision: float, flat: Array, spheres: Array,
     out_means: Array, out_covariances: Array,
@@ -249,13 +251,14 @@ def add_up(
     H, pulls, d = np.zeros((n, n * K)), np.zeros((n, n * K)), np.zeros(n * K)
     base, pull = np.empty((n, K)), np.zeros((n, K))
     for i in range(n):
-        base[i] = state[i]
+        for k in range(K):
+            base[i, k] = state[i]
     is_first = True
     for j in range(P):
         if not weights[j] > 0.0:
             continue
         if is_first:
-            base[:] = targets[j]
+            copy_rows(targets[j], base)
             is_first = False
         for i in range(n):
             for k in range(K):
@@ -275,12 +278,17 @@ def add_up(
             trace += out_covariances[k, o, o]
             out_means[k, o] = base[o, k]
         if not trace * min_precision < 1.0:  # maybe an eigenvalue of H below min_precision
-            gradient = -pull[:, k]
+            precision, gradient = np.empty((n, n)), np.empty(n)
+            for i in range(n):
+                gradient[i] = -pull[i, k]
+                for m in range(n):
+                    precision[i, m] = H[i, m * K + k]
             invert_precision(
-                H[:, k::K].copy(), gradient, out_means[k], state, min_precision, flat, spheres, scratch_for(n),
+                precision, gradient, out_means[k], state, min_precision, flat, spheres, scratch_for(n),
                 out_covariances[k],
             )  # fmt: skip
-            pull[:, k] = -gradient
+            for i in range(n):
+                pull[i, k] = -gradient[i]
         for i in range(n):
             for m in range(n):
                 out_means[k, i] += out_covariances[k, i, m] * pull[m, k]

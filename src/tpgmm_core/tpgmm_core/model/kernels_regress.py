@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaussian mixture regression over time, alone and after adapting, compiled.
+"""Gaussian mixture regression over time, compiled: on one mixture, and as each frame sees it.
 
 `flat[i]` is the ambient index of tangent dimension i, or -1 on S³, and `spheres[s]` = (first ambient, first tangent
 index) of each S³ factor: `Manifold.ambient_of_tangent` and `Manifold.sphere_starts`.
@@ -12,11 +12,10 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
+from tpgmm_core.geometry.kernels import cholesky, compiled, copy_rows, gram, invert_lower
 from tpgmm_core.geometry.kernels_manifold import difference, longest, move
 from tpgmm_core.geometry.kernels_product import MAX_STEPS, STEP_TOLERANCE
 from tpgmm_core.geometry.kernels_rotation import transport
-from tpgmm_core.model.kernels_adapt import adapt
 
 NEGLIGIBLE = 1e-20  # components with a smaller activation add nothing
 
@@ -36,8 +35,14 @@ def regress_given(
         of `regress`
     """
     K, D = means.shape
-    n, likeliest = len(flat), np.argmax(activations)
-    active = np.flatnonzero(~(activations < NEGLIGIBLE))  # also where they are no numbers
+    n, likeliest, n_active, active = len(flat), 0, 0, np.empty(K, dtype=np.int64)
+    for i in range(K):
+        if activations[i] > activations[likeliest]:
+            likeliest = i
+        if not activations[i] < NEGLIGIBLE:  # also where they are no numbers
+            active[n_active] = i
+            n_active += 1
+    active = active[:n_active]
     conditionals = means.copy()
     steps = np.empty((K, n))
     for k in active:
@@ -153,54 +158,11 @@ def regress_all(
 
 
 @compiled
-def adapt_and_regress(
-    means: Array, precisions: Array, sizes: Array, flat: Array, spheres: Array, A: Array, b: Array, inverses: Array,
-    has_inverse: Array, pose_covariances: Array, weights: Array, state: Array, min_precision: float,
-    adapted_means: Array, adapted_covariances: Array, log_priors: Array, times: Array, out_means: Array,
-    out_covariances: Array, out_activations: Array,
+def regress_views(
+    log_priors: Array, means: Array, covariances: Array, sizes: Array, flat: Array, spheres: Array, weights: Array,
+    times: Array, out_means: Array, out_precisions: Array, activations: Array,
 ) -> int:  # fmt: skip
-    """`adapt`, then `regress_all`.
-
-    Parameters
-    ----------
-    means, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, pose_covariances, weights, state
-        as for `adapt`
-    min_precision
-        as for `adapt`
-    adapted_means, adapted_covariances
-        (K, D) and (K, n, n), written
-    log_priors
-        (K,)
-    times
-        (H,)
-    out_means, out_covariances, out_activations
-        written, as by `regress_all`
-
-    Returns
-    -------
-    int
-        as of `adapt`
-    """
-    failed: int = adapt(
-        means, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, pose_covariances, weights, state,
-        min_precision, adapted_means, adapted_covariances,
-    )  # fmt: skip
-    if failed == -1:
-        regress_all(
-            log_priors, adapted_means, adapted_covariances, flat, spheres, times,
-            out_means, out_covariances, out_activations,
-        )  # fmt: skip
-    return failed
-
-
-@compiled
-def regress_and_adapt(
-    log_priors: Array, means: Array, covariances: Array, sizes: Array, view_flat: Array, spheres: Array,
-    data_flat: Array, data_spheres: Array, A: Array, b: Array, inverses: Array, has_inverse: Array,
-    pose_covariances: Array, weights: Array, state: Array, min_precision: float, times: Array, out_means: Array,
-    out_covariances: Array, activations: Array,
-) -> int:  # fmt: skip
-    """Regression in each frame at all times, then `adapt`, as if the times were components.
+    """Regression in each frame at all times, laid out for `kernels_adapt.adapt` as if the times were components.
 
     Parameters
     ----------
@@ -208,61 +170,78 @@ def regress_and_adapt(
         (K,)
     means, covariances, sizes
         what each frame learned, time first: (P, K, D_max), (P, K, n_max, n_max) and (P, 2)
-    view_flat, spheres
-        arrangement of the manifold with time
-    data_flat, data_spheres
-        arrangement of the manifold without time
-    A, b, inverses, has_inverse, pose_covariances, weights, state, min_precision
-        as for `adapt`, without time
+    flat, spheres
+        arrangement of the manifold with time, see the module
+    weights
+        (P,), how far each frame is trusted
     times
         (H,)
-    out_means, out_covariances
-        (H, D) and (H, n, n), written
+    out_means, out_precisions
+        (P, D_max - 1, H) and (P, n_max - 1, (n_max - 1) H), written for the frames with a weight
     activations
         (K,), written: at the first of the times, the mean over the frames
 
     Returns
     -------
     int
-        what `adapt` returns, or P + the frame whose covariance is singular
+        -1, or the frame whose covariance is singular
     """
-    P, H = len(means), len(times)
-    data_sizes = sizes - 1
-    n_max = covariances.shape[2] - 1
-    seen, precisions = np.zeros((P, means.shape[2] - 1, H)), np.zeros((P, n_max, n_max * H))
-    h, total = np.empty(len(log_priors)), 0.0
+    (P, K), H = means.shape[:2], len(times)
+    h, total = np.empty(K), 0.0
     activations[:] = 0.0
     for j in range(P):
         if not weights[j] > 0.0:
             continue
-        D, n = data_sizes[j]
-        view_means = np.ascontiguousarray(means[j, :, : D + 1])
-        view_covariances = np.ascontiguousarray(covariances[j, :, : n + 1, : n + 1])
+        D, n = sizes[j, 0] - 1, sizes[j, 1] - 1
+        view_means, view_covariances = np.empty((K, D + 1)), np.empty((K, n + 1, n + 1))
+        copy_rows(means[j, :, : D + 1], view_means)
+        for k in range(K):
+            copy_rows(covariances[j, k, : n + 1, : n + 1], view_covariances[k])
         mean, covariance, L = np.empty(D), np.empty((n, n)), np.empty((n, n))
         for i in range(H):
-            regress(
-                log_priors, view_means, view_covariances, times[i], view_flat[: n + 1], spheres, mean, covariance, h
-            )  # fmt: skip
+            regress(log_priors, view_means, view_covariances, times[i], flat[: n + 1], spheres, mean, covariance, h)
             if i == 0:
                 total += weights[j]
-                for k in range(len(h)):
+                for k in range(K):
                     activations[k] += weights[j] * h[k]
             for o in range(D):
-                seen[j, o, i] = mean[o]
-            if not cholesky(covariance, n, L):
-                return P + j
-            invert_lower(L, n, covariance)
-            gram(covariance, n, L)
-            for o in range(n):
-                for m in range(n):
-                    precisions[j, o, m * H + i] = L[o, m]
-    for k in range(len(h)):
+                out_means[j, o, i] = mean[o]
+            if not lay_out_precision(covariance, L, i, H, out_precisions[j]):
+                return j
+    for k in range(K):
         activations[k] = activations[k] / total if total > 0.0 else math.exp(log_priors[k])
-    failed: int = adapt(
-        seen, precisions, data_sizes, data_flat, data_spheres, A, b, inverses, has_inverse, pose_covariances, weights,
-        state, min_precision, out_means, out_covariances,
-    )  # fmt: skip
-    return failed
+    return -1
+
+
+@compiled
+def lay_out_precision(covariance: Array, L: Array, i: int, H: int, out: Array) -> bool:
+    """Write the inverse of a covariance as that of component i of H, as `kernels_adapt.adapt` takes it.
+
+    Parameters
+    ----------
+    covariance
+        (n, n); changed
+    L
+        (n, n), scratch
+    i, H
+        which component, and of how many
+    out
+        (n or more, n H or more), written
+
+    Returns
+    -------
+    bool
+        False where the covariance is not positive definite
+    """
+    n = len(covariance)
+    if not cholesky(covariance, n, L):
+        return False
+    invert_lower(L, n, covariance)
+    gram(covariance, n, L)
+    for o in range(n):
+        for m in range(n):
+            out[o, m * H + i] = L[o, m]
+    return True
 
 
 @compiled

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled, inlined, solve_in_place
 
 
 @compiled
@@ -30,10 +30,17 @@ def position_start(flat: Array, spheres: Array) -> int:
     return turn - 3 if len(spheres) == 1 and turn + 3 == n and (turn == 3 or turn == 4) else -1
 
 
-@compiled
-def lessen(
-    P: Array, weight: float, targets: Array, b: Array, flat: Array, spheres: Array, terms: Array
-) -> None:  # fmt: skip
+@inlined
+def is_uncertain(P: Array) -> bool:
+    """Whether a frame's pose is not known exactly, by its covariance (6, 6)."""
+    trace = 0.0
+    for i in range(len(P)):
+        trace += P[i, i]
+    return trace > 0.0
+
+
+@inlined
+def lessen(P: Array, weight: float, targets: Array, b: Array, flat: Array, spheres: Array, terms: Array) -> None:
     """Precisions of a frame's components, in the common frame, when its own pose is uncertain, to first order.
 
     A frame that is displaced by d and turned by r about the fixed axes moves the point A mu + b by d + r x (A mu), and
@@ -57,7 +64,8 @@ def lessen(
     """
     n, K = len(flat), targets.shape[1]
     p = position_start(flat, spheres)
-    J, T, contiguous = np.zeros((n, 6)), np.empty((n, n)), np.ascontiguousarray(P)
+    J, JP, S = np.zeros((n, 6)), np.empty((n, 6)), np.empty((n, n))
+    T, M, less = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     for i in range(3):
         J[p + i, i] = 1.0
         if len(spheres) > 0:
@@ -72,11 +80,24 @@ def lessen(
         for o in range(n):
             for i in range(n):
                 T[o, i] = terms[o, i * K + k] / weight
-        # (T^-1 + S)^-1 without an inverse of T, which may be singular
-        M = T @ (J @ contiguous @ J.T)
-        for i in range(n):
-            M[i, i] += 1.0
-        less = np.linalg.solve(M, T)
+                less[o, i] = T[o, i]
+        for o in range(n):
+            for i in range(6):
+                JP[o, i] = 0.0
+                for m in range(6):
+                    JP[o, i] += J[o, m] * P[m, i]
         for o in range(n):
             for i in range(n):
-                terms[o, i * K + k] = 0.5 * weight * (less[o, i] + less[i, o])
+                S[o, i] = 0.0
+                for m in range(6):
+                    S[o, i] += JP[o, m] * J[i, m]
+        # (T^-1 + S)^-1 without an inverse of T, which may be singular
+        for o in range(n):
+            for i in range(n):
+                M[o, i] = 1.0 if o == i else 0.0
+                for m in range(n):
+                    M[o, i] += T[o, m] * S[m, i]
+        is_regular = solve_in_place(M, less, 0.0)  # always, but for numbers that overflow: then nothing is known
+        for o in range(n):
+            for i in range(n):
+                terms[o, i * K + k] = 0.5 * weight * (less[o, i] + less[i, o]) if is_regular else 0.0

@@ -13,10 +13,10 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import inlined
 
 
-@compiled
+@inlined
 def cholesky_band(band: Array) -> bool:
     """Replace band by its Cholesky factor L (N, w + 1), reciprocals on the diagonal; False when it is not definite."""
     N, w = band.shape[0], band.shape[1] - 1
@@ -35,7 +35,7 @@ def cholesky_band(band: Array) -> bool:
     return True
 
 
-@compiled
+@inlined
 def solve_band(factor: Array, x: Array) -> None:
     """Replace x (N,) by (L L^T)^-1 x, with the factor of `cholesky_band`."""
     N, w = factor.shape[0], factor.shape[1] - 1

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled, copy
 from tpgmm_core.geometry.kernels_manifold import difference, move
 from tpgmm_core.geometry.kernels_rotation import inverse_left_jacobian
 
@@ -41,5 +41,5 @@ def interpolate(
                 for o in range(3):
                     rate += J[m, o] * velocities[i + 1, a + o]
                 step[a + m] = reached * e[a + m] + leaving * velocities[i, a + m] - arriving * rate
-        out_points[h] = points[i]
+        copy(points[i], out_points[h])
         move(out_points[h], step, flat, spheres)

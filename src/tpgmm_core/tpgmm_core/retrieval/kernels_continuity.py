@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled, inlined
 from tpgmm_core.geometry.kernels_manifold import difference, longest, move
 from tpgmm_core.retrieval.spring import damp, left_of_two
 
@@ -68,7 +68,7 @@ def advance(left: Array, time_constant: float, swing_time: float, seconds: float
     return total
 
 
-@compiled
+@inlined
 def _time_of_swing(
     changes: Array, moment: float, share: float, time_constant: float, swing_time: float, left: Array
 ) -> float:

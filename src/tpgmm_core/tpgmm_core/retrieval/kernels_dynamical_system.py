@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
+from tpgmm_core.geometry.kernels import cholesky, compiled, copy, gram, inlined, invert_lower
 from tpgmm_core.geometry.kernels_manifold import difference, move
 
 
@@ -58,7 +58,7 @@ def prepare(
     return True
 
 
-@compiled
+@inlined
 def regress_velocity(
     x: Array, means: Array, whitening: Array, offsets: Array, gains: Array, flat: Array, spheres: Array,
     activations: Array, v: Array,
@@ -114,14 +114,14 @@ def distance(e: Array, metric: Array) -> float:
     return math.sqrt(total)
 
 
-@compiled
+@inlined
 def shrink_rate(d: float, law: Array) -> float:
     """rho(d) / d, the least rate at which distances fall: see `dynamical_system`."""
     rate, goal_rate, reach, top_speed = law[0], law[1], law[2], law[3]
     return min(min(rate * (reach / d) ** (1.0 / 3.0), goal_rate), top_speed / d)
 
 
-@compiled
+@inlined
 def shrunk(radius: float, law: Array, h: float) -> float:
     """The radius after a time, of r' = -rho(r) or faster: the slowest of its three laws, each solved exactly.
 
@@ -240,7 +240,7 @@ def go(
         radius = min(radius, (1.0 + detour) * distance(e, metric))
         stable_velocity(x, radius, *field, v, e)
         radius = shrunk(radius, law, h)
-        middle[:] = x
+        copy(x, middle)
         for i in range(n):
             step[i] = 0.5 * h * v[i]
         move(middle, step, flat, spheres)
@@ -251,7 +251,7 @@ def go(
         difference(x, goal, flat, spheres, e)
         d = distance(e, metric)
         if d > radius:
-            x[:] = goal
+            copy(goal, x)
             for i in range(n):
                 e[i] *= radius / d
             move(x, e, flat, spheres)

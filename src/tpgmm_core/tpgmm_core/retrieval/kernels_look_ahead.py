@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled, copy
 from tpgmm_core.geometry.kernels_manifold import difference, move
 from tpgmm_core.retrieval.covariance_mean import exponential
 from tpgmm_core.retrieval.kernels_dynamical_system import distance, go
@@ -57,7 +57,7 @@ def look_ahead(
             x, radius, part, n_steps, goal, law, metric, means, whitening, offsets, gains, flat, spheres, activations,
             regressed, v,
         )  # fmt: skip
-        target[:K] = activations
+        copy(activations, target)
         difference(x, goal, flat, spheres, target[K:])
         for i in range(K + n):
             value[i] -= target[i]
@@ -69,8 +69,8 @@ def look_ahead(
         for k in range(K):
             weights[k] = (1.0 - near) * value[k]
         exponential(x, weights, goal, flat, spheres, logs, factor, out_covariances[h])
-        away[:] = offset
-        away_rate[:] = offset_rate
+        copy(offset, away)
+        copy(offset_rate, away_rate)
         damp(away, away_rate, blend_rate, time)
-        out_means[h] = x
+        copy(x, out_means[h])
         move(out_means[h], away, flat, spheres)

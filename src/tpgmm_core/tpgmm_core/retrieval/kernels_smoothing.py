@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled, copy, copy_rows, inlined
 from tpgmm_core.geometry.kernels_manifold import difference
 from tpgmm_core.geometry.kernels_rotation import inverse_left_jacobian
 
@@ -37,7 +37,7 @@ def _steps(points: Array, t: int, first: int, ahead: Array, flat: Array, spheres
         else:
             difference(points[first + p], points[t], flat, spheres, steps[p])
     if first + 2 > t:
-        ahead[:] = steps[t + 1 - first]
+        copy(steps[t + 1 - first], ahead)
 
 
 @compiled
@@ -92,7 +92,7 @@ def _numbers(own: int, weights: Array, t: int, flat: Array, numbers: Array) -> N
                         numbers[order, own * n + i] -= weight
 
 
-@compiled
+@inlined
 def _fold(precision: Array, numbers: Array, half: Array, folded: Array) -> None:
     """Folded = V^T precision V, (3 n, 3 n), with V the numbers of `_numbers`; half (3 n, 3 n) is scratch."""
     N = len(precision)
@@ -141,7 +141,7 @@ def _turn(own: int, spheres: Array, J: Array, F: Array, out: Array) -> None:
                 out[r + 2, k] = c * x + f * y + m * z
 
 
-@compiled
+@inlined
 def _turn_both(
     own: int, spheres: Array, J: Array, folded: Array, rows: Array, half: Array, across: Array, turned: Array,
     hessian: Array,
@@ -165,7 +165,7 @@ def _turn_both(
             hessian[rows[c], rows[k]] = turned[rows[c], k]
 
 
-@compiled
+@inlined
 def _rows_on_spheres(n: int, spheres: Array) -> NDArray[np.int64]:
     """Which of the rows of three points are on S³."""
     rows, count = np.empty(9 * len(spheres), dtype=np.int64), 0
@@ -177,7 +177,7 @@ def _rows_on_spheres(n: int, spheres: Array) -> NDArray[np.int64]:
     return rows
 
 
-@compiled
+@inlined
 def _are_alike(weights: Array, t: int, other: int) -> bool:
     """Whether two times' points have the same weights, but for rounding; weights (3, T, 3)."""
     for order in range(1, 3):
@@ -188,7 +188,7 @@ def _are_alike(weights: Array, t: int, other: int) -> bool:
     return True
 
 
-@compiled
+@inlined
 def assemble(
     first: Array, weights: Array, means: Array, precisions: Array, states: Array, flat: Array, spheres: Array,
     points: Array, rates: Array, with_hessian: bool, band: Array, downhill: Array,
@@ -264,14 +264,14 @@ def assemble(
             if not (is_folded and _are_alike(weights, t, last)):
                 last = t
                 _fold(precision, numbers, half, folded)
-                hessian[:] = folded
+                copy_rows(folded, hessian)
             if S > 0:
                 _turn_both(own, spheres, J, folded, rows, half, across, turned, hessian)
             _add_rows(hessian, base, band)
     return cost
 
 
-@compiled
+@inlined
 def _add_rows(hessian: Array, base: int, band: Array) -> None:
     """Add a symmetric matrix (3 n, 3 n) to the band (T n, 3 n), from row `base` on."""
     N = len(hessian)

@@ -7,6 +7,7 @@ nothing; where they move before each step, a step takes up to three times as lon
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.frame import Frame
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled, copy, copy_rows
 from tpgmm_core.geometry.kernels_manifold import move
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
 
@@ -111,15 +112,23 @@ class LocalSteps:
 
     def weights(self, step: int) -> Array:
         """How much each demonstration counts at a step, of those whose way is gone, (m,)."""
-        w = _weights(self._squares[step], self._locality) * (self._shown.modes == self.mode)
+        w = np.empty(len(self._squares[step]))
+        weigh(self._squares[step], self._locality, w)
+        w *= self._shown.modes == self.mode
         return np.asarray(w / w.sum())
 
 
 @compiled
-def _weights(squares: Array, locality: float) -> Array:
-    least = squares.min()
-    w = np.exp(-0.5 * locality * (squares - least))
-    return w / w.sum()
+def weigh(squares: Array, locality: float, out: Array) -> None:
+    """Write weights (m,) of squared distances (m,), which sum to 1."""
+    least, total = np.inf, 0.0
+    for i in range(len(squares)):
+        least = min(least, squares[i])
+    for i in range(len(squares)):
+        out[i] = math.exp(-0.5 * locality * (squares[i] - least))
+        total += out[i]
+    for i in range(len(squares)):
+        out[i] /= total
 
 
 @compiled
@@ -154,7 +163,7 @@ def localise(
         (T,), which steps are written already; written
     """
     P, T, m, n = deviations.shape
-    shifts = np.zeros((3, n))
+    shifts, of_step, w = np.zeros((3, n)), np.empty(m), np.empty(m)
     for h in range(len(times)):
         before = min(max(np.searchsorted(grid, times[h], side="right") - 1, 0), T - 2)
         for t in range(before, before + 2):
@@ -163,27 +172,31 @@ def localise(
             is_fresh[t] = True
             for j in range(P):
                 size = sizes[j]
-                w = np.zeros(m)
+                square = 0.0
                 for side in range(3):
                     other = min(max(t + side - 1, 0), T - 1)
-                    of_step = _weights(squares[other], locality) * seen[j, other]
-                    total = of_step.sum()
+                    weigh(squares[other], locality, of_step)
+                    total = 0.0
+                    for i in range(m):
+                        of_step[i] *= seen[j, other, i]
+                        total += of_step[i]
                     for a in range(size):
                         shifts[side, a] = 0.0
                         if total > 0.0:
                             for i in range(m):
                                 shifts[side, a] += of_step[i] / total * deviations[j, other, i, a]
-                    if side == 1 and total > 0.0:
-                        w[:] = of_step / total
-                square = (w**2).sum()
+                    if side == 1:
+                        for i in range(m):
+                            w[i] = of_step[i] / total if total > 0.0 else 0.0
+                            square += w[i] * w[i]
                 first, last = max(t - 1, 0), min(t + 1, T - 1)
                 for a in range(size):
                     out_velocities[j, t, a] = velocities[j, t, a] + (shifts[2, a] - shifts[0, a]) / (
                         grid[last] - grid[first]
                     )
-                out_points[j, t] = points[j, t]
+                copy(points[j, t], out_points[j, t])
                 if square == 0.0:
-                    out_within[j, t] = within[j, t]
+                    copy_rows(within[j, t], out_within[j, t])
                     continue
                 move(out_points[j, t], shifts[1, :size], view[:size], spheres)
                 # as many demonstrations as have the same sum of squared weights, and at least a little of one more

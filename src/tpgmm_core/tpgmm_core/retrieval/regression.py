@@ -30,6 +30,7 @@ from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.model import kernels_regress
 from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE, Adapter
 from tpgmm_core.model.frame_buffer import FrameBuffer
+from tpgmm_core.model.kernels_adapt import adapt
 from tpgmm_core.retrieval.frames import require_time_kept
 from tpgmm_core.retrieval.interface import TimeParametrized, demonstrated_duration
 
@@ -150,6 +151,7 @@ class RegressThenProduct(_Regression):
             D, n = sizes[j]
             means[j, :, :D], covariances[j, :, :n, :n] = model.means_[name], model.covariances_[name]
         flat = np.arange(n_max) if model.manifold_.is_euclidean else model.manifold_.ambient_of_tangent
+        self._data_sizes = sizes - 1
         self._views = self._log_priors, means, covariances, sizes, flat, model.manifold_.sphere_starts
         self.situate(self._buffer.identity_frame())
         self.at(np.zeros(1))  # compiled, or loaded from the cache
@@ -172,24 +174,35 @@ class RegressThenProduct(_Regression):
         ValueError
             for a singular covariance, and where the frames contradict each other so much that there is no product
         """
+        seen, precisions = self._views_for(len(times))
+        activations = np.empty(len(self._log_priors))
+        failed = kernels_regress.regress_views(*self._views, self._buffer.weights, times, seen, precisions, activations)
+        if failed >= 0:
+            name = self.frame_names[failed]
+            raise ValueError(f"the covariances of frame {name!r} are singular: fit with a larger reg_covar")
+        return *self._product(times, seen, precisions), activations
+
+    def _views_for(self, H: int) -> tuple[Array, Array]:
+        """What each frame sees at H times, still to be written: means (P, D, H) and precisions (P, n, n H)."""
+        D, n = self._data_sizes.max(axis=0)
+        P = len(self._data_sizes)
+        return np.zeros((P, D, H)), np.zeros((P, n, n * H))
+
+    def _product(self, times: Array, seen: Array, precisions: Array) -> tuple[Array, Array]:
+        """The product over the frames of what they see at each time, means (H, D) and covariances (H, n, n)."""
         s, manifold = self._buffer, self.manifold
         H, n = len(times), manifold.tangent_dim
         means, covariances = np.empty((H, manifold.dim)), np.empty((H, n, n))
-        activations = np.empty(len(self._log_priors))
-        failed = kernels_regress.regress_and_adapt(
-            *self._views,
-            *(manifold.ambient_of_tangent, manifold.sphere_starts, self._A, self._b, self._inverses, s.has_inverse),
-            *(s.pose_covariances, s.weights, s.state[1:].copy()),
-            *(1.0 / UNCONSTRAINED_VARIANCE, times, means, covariances, activations),
+        failed = adapt(
+            *(seen, precisions, self._data_sizes, manifold.ambient_of_tangent, manifold.sphere_starts),
+            *(self._A, self._b, self._inverses, s.has_inverse, s.pose_covariances, s.weights, s.state[1:].copy()),
+            *(1.0 / UNCONSTRAINED_VARIANCE, means, covariances),
         )
-        if failed >= len(self.frame_names):
-            name = self.frame_names[failed - len(self.frame_names)]
-            raise ValueError(f"the covariances of frame {name!r} are singular: fit with a larger reg_covar")
         if failed < -1:
             raise no_product(f"the time {times[-2 - failed]:.3g} s", self._views_at(times[-2 - failed]))
         if failed >= 0:
             s.refuse(failed)
-        return means, covariances, activations
+        return means, covariances
 
     def _views_at(self, time: float) -> dict[str, Gaussian]:
         """Gaussians that the known frames expect at a time, in the common frame."""

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled
+from tpgmm_core.geometry.kernels import compiled, copy_rows, inlined
 from tpgmm_core.geometry.kernels_manifold import longest, move
 from tpgmm_core.geometry.kernels_product import ROUNDED_GAIN
 from tpgmm_core.geometry.manifold import Manifold
@@ -108,10 +108,11 @@ def smoothest(
             f"no smooth trajectory was found in {MAX_ITERATIONS} steps: either the orientations of neighbouring states "
             "contradict each other (check the frames), or times are too close together (take longer time steps)"
         )
-    return Smooth(points, rates[:, :n], rates[:, n:], iterations)
+    velocities, accelerations = np.ascontiguousarray(rates[:, :n]), np.ascontiguousarray(rates[:, n:])
+    return Smooth(points, velocities, accelerations, iterations)
 
 
-@compiled
+@inlined
 def _extent(points: Array, flat: Array, spheres: Array) -> tuple[float, float]:
     """The longest side of the box around the points, and the largest coordinate; S³ counts as 1 rad."""
     extent = largest = 1.0 if len(spheres) > 0 else 0.0
@@ -142,7 +143,8 @@ def _solve(
             first, weights, means, precisions, states, flat, spheres, points, rates, with_hessian, band, step
         )
         if cost > former_cost and is_curved and length > LINEAR_STEP:  # too far: half the way back
-            step[:] = 0.5 * former_step
+            for k in range(len(step)):
+                step[k] = 0.5 * former_step[k]
             length *= 0.5
             is_factor = False
         else:
@@ -155,8 +157,8 @@ def _solve(
             solve_band(band, step)
             length, gain = longest(step), np.dot(step, downhill)
             is_rounded = bool(is_curved and 0.25 * former_gain < gain < ROUNDED_GAIN * len(step))
-            former_points[:] = points
-        points[:] = former_points
+            copy_rows(points, former_points)
+        copy_rows(former_points, points)
         for t in range(T):
             move(points[t], step[t * n : (t + 1) * n], flat, spheres)
         extent, largest = _extent(points, flat, spheres)

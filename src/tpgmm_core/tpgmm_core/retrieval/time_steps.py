@@ -13,15 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.disagreement import no_product
 from tpgmm_core.geometry.frame import Frame
-from tpgmm_core.geometry.kernels import cholesky, compiled, gram, invert_lower
+from tpgmm_core.geometry.kernels import compiled, copy_rows
 from tpgmm_core.geometry.manifold import Manifold
 from tpgmm_core.learning.learned_mixture import LearnedMixture
 from tpgmm_core.learning.step_mixture import StepMixture
 from tpgmm_core.learning.time_steps import TimeStepTPGMM
-from tpgmm_core.model.adaptation import UNCONSTRAINED_VARIANCE
-from tpgmm_core.model.kernels_adapt import adapt
+from tpgmm_core.model.kernels_regress import lay_out_precision
 from tpgmm_core.retrieval.interpolation import interpolate
 from tpgmm_core.retrieval.local_steps import LocalSteps
 from tpgmm_core.retrieval.regression import RegressThenProduct
@@ -53,7 +51,6 @@ class TimeSteps(RegressThenProduct):
         for j, name in enumerate(names):
             D, n = sizes[j]
             self._points[j, :, :D], self._velocities[j, :, :n], self._within[j, :, :n, :n] = model.steps(name)
-        self._sizes = sizes
         view, spheres = self._view(model.manifold_.subset(range(1, model.manifold_.dim)))
         self._local = None
         if isinstance(model, TimeStepTPGMM) and model.shown_ is not None:
@@ -105,33 +102,25 @@ class TimeSteps(RegressThenProduct):
         ValueError
             where the frames contradict each other so much that there is no product
         """
-        s, manifold = self._buffer, self.manifold
         times = np.clip(np.asarray(times, dtype=float), self._grid[0], self._grid[-1])
-        H, n = len(times), manifold.tangent_dim
-        means, covariances = np.empty((H, manifold.dim)), np.empty((H, n, n))
         if self._local is not None:
             self._local.at(times)
-        failed = product_at(
-            self._grid, self._points, self._velocities, self._within, self._sizes,
-            self._view(manifold)[0], manifold.ambient_of_tangent, manifold.sphere_starts, self._A, self._b,
-            self._inverses, s.has_inverse, s.pose_covariances, s.weights, s.state[1:].copy(),
-            1.0 / UNCONSTRAINED_VARIANCE, times, means, covariances,
+        seen, precisions = self._views_for(len(times))
+        views_at(
+            self._grid, self._points, self._velocities, self._within, self._data_sizes, *self._view(self.manifold),
+            self._buffer.weights, times, seen, precisions,
         )  # fmt: skip
-        if failed < -1:
-            raise no_product(f"the time {times[-2 - failed]:.3g} s", self._views_at(times[-2 - failed]))
-        if failed >= 0:
-            s.refuse(failed)
+        means, covariances = self._product(times, seen, precisions)
         near = np.maximum(1.0 - np.abs(self._grid - times[0]) / (self._grid[1] - self._grid[0]), 0.0)
         return means, covariances, near / near.sum()
 
 
 @compiled
-def product_at(
-    grid: Array, points: Array, velocities: Array, within: Array, sizes: Array, view_flat: Array, flat: Array,
-    spheres: Array, A: Array, b: Array, inverses: Array, has_inverse: Array, pose_covariances: Array, weights: Array,
-    state: Array, min_precision: float, times: Array, out_means: Array, out_covariances: Array,
-) -> int:  # fmt: skip
-    """Each frame's Gaussian at times (H,) within the grid (T,), then `adapt`, as if the times were components.
+def views_at(
+    grid: Array, points: Array, velocities: Array, within: Array, sizes: Array, flat: Array, spheres: Array,
+    weights: Array, times: Array, out_means: Array, out_precisions: Array,
+) -> None:  # fmt: skip
+    """Each frame's Gaussian at some times, laid out for `kernels_adapt.adapt` as if the times were components.
 
     Parameters
     ----------
@@ -141,47 +130,31 @@ def product_at(
         (P, T, D_max), (P, T, n_max), (P, T, n_max, n_max): means, their velocities, covariances as each frame sees them
     sizes
         (P, 2), ambient and tangent dimensions of each frame, without time
-    view_flat
-        (n_max,), the layout of what a frame sees, without time
-    flat, spheres, A, b, inverses, has_inverse, pose_covariances, weights, state, min_precision
-        of the common space, without time, as for `adapt`
+    flat, spheres
+        (n_max,) and (S, 2), the layout of what a frame sees, without time: see `kernels_manifold`
+    weights
+        (P,), how far each frame is trusted
     times
-        (H,), s
-    out_means, out_covariances
-        (H, D) and (H, n, n), which are written
-
-    Returns
-    -------
-    int
-        what `adapt` returns
+        (H,), s, within the grid
+    out_means, out_precisions
+        (P, D_max, H) and (P, n_max, n_max H), written for the frames with a weight
     """
-    P, H, n_max = len(points), len(times), within.shape[3]
-    seen, precisions = np.zeros((P, points.shape[2], H)), np.zeros((P, n_max, n_max * H))
+    P, H = len(points), len(times)
     for j in range(P):
         if not weights[j] > 0.0:
             continue
         D, n = sizes[j]
         means, S, L = np.empty((H, D)), np.empty((n, n)), np.empty((n, n))
-        interpolate(
-            grid, np.ascontiguousarray(points[j, :, :D]), np.ascontiguousarray(velocities[j, :, :n]), view_flat[:n],
-            spheres, times, means,
-        )  # fmt: skip
+        own_points, own_velocities = np.empty((len(grid), D)), np.empty((len(grid), n))
+        copy_rows(points[j, :, :D], own_points)
+        copy_rows(velocities[j, :, :n], own_velocities)
+        interpolate(grid, own_points, own_velocities, flat[:n], spheres, times, means)
         for h in range(H):
             i = min(max(np.searchsorted(grid, times[h], side="right") - 1, 0), len(grid) - 2)
             s = (times[h] - grid[i]) / (grid[i + 1] - grid[i])
             for o in range(n):
                 for m in range(n):
                     S[o, m] = (1.0 - s) * within[j, i, o, m] + s * within[j, i + 1, o, m]
-            cholesky(S, n, L)  # definite, as both are
-            invert_lower(L, n, S)
-            gram(S, n, L)
             for o in range(D):
-                seen[j, o, h] = means[h, o]
-            for o in range(n):
-                for m in range(n):
-                    precisions[j, o, m * H + h] = L[o, m]
-    failed: int = adapt(
-        seen, precisions, sizes, flat, spheres, A, b, inverses, has_inverse, pose_covariances, weights, state,
-        min_precision, out_means, out_covariances,
-    )  # fmt: skip
-    return failed
+                out_means[j, o, h] = means[h, o]
+            lay_out_precision(S, L, h, H, out_precisions[j])  # definite, as both are

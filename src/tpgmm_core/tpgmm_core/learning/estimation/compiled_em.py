@@ -276,9 +276,11 @@ class Workspace:
             other.result()
 
     def _sum_parts(self) -> None:
-        kernels_expectation.sum_parts(
-            self._part_counts, self._part_first, self._part_second, self.counts, self.first, self.second
-        )
+        S = len(self._log_likelihoods)
+        for parts, out in (
+            (self._part_counts, self.counts), (self._part_first, self.first), (self._part_second, self.second),
+        ):  # fmt: skip
+            kernels_expectation.sum_parts(parts.reshape(S, -1), out.reshape(-1))
 
     def factorise(self) -> None:
         """Compute the factors and normalisations of the covariances.

@@ -17,7 +17,7 @@ import numpy as np
 
 from tpgmm_core.common.constants import LOG_2PI, SINGULAR
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import cholesky, compiled, exp_in_place, invert_lower
+from tpgmm_core.geometry.kernels import cholesky, compiled, copy, exp_in_place, invert_lower
 from tpgmm_core.geometry.kernels_rotation import quaternion_difference
 
 BLOCK = 256  # samples that are worked on together: large enough to vectorise, small enough for the cache
@@ -211,10 +211,15 @@ def _expectation_of_part(
     log_likelihood = 0.0
     for start in range(begin, end, BLOCK):
         size = min(BLOCK, end - start)
-        x[:, :size] = X[:, start : start + size]
-        s[:, :size] = seen[:, start : start + size]
+        for row in range(len(X)):
+            for b in range(size):
+                x[row, b] = X[row, start + b]
+        for j in range(P):
+            for b in range(size):
+                s[j, b] = seen[j, start + b]
         for k in range(K):
-            r[k, :size] = log_priors[k]
+            for b in range(size):
+                r[k, b] = log_priors[k]
             for j in range(P):
                 differences(x, size, means[k], j, layout, flat, spheres, d)
                 add_log_densities(d, layout[j, 1], size, factors[j, k], log_norms[j, k], s[j], y, r[k])
@@ -224,7 +229,8 @@ def _expectation_of_part(
             for b in range(size):
                 top[b] = max(top[b], r[k, b])
         total = y[0]
-        total[:size] = 0.0
+        for b in range(size):
+            total[b] = 0.0
         for k in range(K):
             for b in range(size):
                 r[k, b] -= top[b]
@@ -240,7 +246,8 @@ def _expectation_of_part(
                 r[k, b] *= total[b]
                 largest = max(largest, r[k, b])
             if len(spheres) > 0:
-                responsibilities[k, start : start + size] = r[k, :size]
+                for b in range(size):
+                    responsibilities[k, start + b] = r[k, b]
             if largest < NEGLIGIBLE:
                 continue
             for b in range(size):
@@ -294,22 +301,17 @@ def expectation(
 
 
 @compiled
-def sum_parts(
-    part_counts: Array, part_first: Array, part_second: Array, counts: Array, first: Array, second: Array
-) -> None:
+def sum_parts(parts: Array, out: Array) -> None:
     """Add the sums of all parts, in order.
 
     Parameters
     ----------
-    part_counts, part_first, part_second
-        of `expectation`
-    counts, first, second
-        (P + 1, K), (P, K, n) and (P, K, n, n), written
+    parts
+        (S, M), one of the sums of `expectation`, for each part side by side
+    out
+        (M,), written
     """
-    counts[:] = part_counts[0]
-    first[:] = part_first[0]
-    second[:] = part_second[0]
-    for part in range(1, len(part_counts)):
-        counts += part_counts[part]
-        first += part_first[part]
-        second += part_second[part]
+    copy(parts[0], out)
+    for part in range(1, len(parts)):
+        for i in range(len(out)):
+            out[i] += parts[part, i]

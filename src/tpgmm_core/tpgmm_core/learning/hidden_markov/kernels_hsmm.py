@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import compiled, exp_in_place
+from tpgmm_core.geometry.kernels import compiled, exp_in_place, inlined
 from tpgmm_core.learning.hidden_markov.kernels_hmm import log_sum
 
 
@@ -135,7 +135,7 @@ def forward(
     return log_sum(scratch, K)
 
 
-@compiled
+@inlined
 def backward(log_transitions: Array, log_durations: Array, total: Array, begun: Array, ended: Array) -> None:
     """The backward recursion over segments.
 
