@@ -31,8 +31,18 @@ inlined: Any = numba.njit(**FAST, inline="always")
 def is_finite(x: float) -> bool:
     """Whether x is neither NaN nor infinite.
 
-    For code that is compiled here, instead of `math.isfinite`: that subtracts x from itself, and where sums may be
-    reordered, the difference of two equal sums is 0 whatever they are.
+    For compiled code, instead of `math.isfinite`: that subtracts x from itself, and where sums may be reordered, the
+    difference of two equal sums is 0 whatever they are.
+
+    Parameters
+    ----------
+    x
+        a number
+
+    Returns
+    -------
+    bool
+        False for NaN and the infinities
     """
     return abs(x) < np.inf
 
