@@ -16,7 +16,7 @@ from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from benchmarks.report import write_report  # noqa: E402
+from benchmarks.report import without_options, write_report  # noqa: E402
 from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
 from tpgmm_core.control.control_law import DynamicState  # noqa: E402
@@ -200,4 +200,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
+    without_options(__doc__)
     sys.exit(main())

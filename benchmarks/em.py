@@ -17,7 +17,7 @@ import sys  # noqa: E402
 import numpy as np  # noqa: E402
 
 import numpy_tpgmm  # noqa: E402
-from benchmarks.report import alternating, durations, write_report  # noqa: E402
+from benchmarks.report import alternating, durations, without_options, write_report  # noqa: E402
 from tpgmm_core import TPGMM  # noqa: E402
 from tpgmm_core.common.report import Row  # noqa: E402
 from workloads import W1, W2, Workload, demonstrations, projected  # noqa: E402
@@ -84,4 +84,5 @@ def measure(work: Workload) -> list[Row]:
 
 
 if __name__ == "__main__":
+    without_options(__doc__)
     sys.exit(write_report("em", [*measure(W1), *measure(W2)]))

@@ -17,7 +17,7 @@ from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from benchmarks.report import durations, write_report  # noqa: E402
+from benchmarks.report import durations, without_options, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Adapter, Frame  # noqa: E402
 from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.common.types import Array  # noqa: E402
@@ -83,4 +83,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
+    without_options(__doc__)
     sys.exit(main())

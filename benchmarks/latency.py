@@ -20,7 +20,7 @@ import numpy as np
 from sensor_msgs.msg import JointState
 
 from benchmarks.graph import CASES, Scene, running
-from benchmarks.report import write_report
+from benchmarks.report import without_options, write_report
 from tpgmm_core.robot.model import RobotModel
 from tpgmm_ros.messages.conversions import JointReader
 from tpgmm_ros.messages.qos import STREAM
@@ -121,6 +121,7 @@ BOUNDS = {
 }
 
 if __name__ == "__main__":
+    without_options(__doc__)
     rows = []
     for name, together, load in CASES:
         with running(together, load, blend_time=0.001) as running_scene:

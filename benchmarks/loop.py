@@ -14,7 +14,7 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray
 
 from benchmarks.graph import CASES, Scene, running
-from benchmarks.report import write_report
+from benchmarks.report import without_options, write_report
 from tpgmm_core.common.report import Row
 
 LOOP = ("frame_tracker", "reproduction", "impedance_controller")
@@ -87,6 +87,7 @@ def cpu_seconds(scene: Scene) -> float:
 
 
 if __name__ == "__main__":
+    without_options(__doc__)
     outcomes: list[Row] = []
     shares: list[Row] = []
     ages: list[Row] = []

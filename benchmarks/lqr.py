@@ -13,7 +13,7 @@ import sys  # noqa: E402
 import numpy as np  # noqa: E402
 from scipy.linalg import solve_continuous_are  # noqa: E402
 
-from benchmarks.report import alternating, write_report  # noqa: E402
+from benchmarks.report import alternating, without_options, write_report  # noqa: E402
 from tpgmm_core.lqr.double_integrator import Gains, double_integrator, double_integrator_gains, riccati_gains  # noqa: E402
 from tpgmm_core.lqr.finite_horizon import finite_horizon_gains  # noqa: E402
 
@@ -111,6 +111,7 @@ def doubling(precision: Array) -> Gains:
 
 
 if __name__ == "__main__":
+    without_options(__doc__)
     rows = [infinite_horizon(state, "closed form", 50.0, 0.0, closed_form) for state in (6, 14)]
     rows += [infinite_horizon(state, "with velocities", 1.0, 1.0, doubling) for state in (6, 14, 28)]
     sys.exit(write_report("lqr", [*rows, finite_horizon(6), finite_horizon(14)]))

@@ -145,7 +145,7 @@ def _accepted(graph: Graph, client: ActionClient, feedback: Callable[[Any], obje
 
 def main() -> None:
     """Run the task; says on standard output when the movement starts and what was measured, as JSON."""
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rate", type=float, required=True)
     parser.add_argument("--network-rate", type=float, required=True)
     parser.add_argument("--seed", type=int, required=True)

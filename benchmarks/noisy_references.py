@@ -8,7 +8,7 @@ to exact poses; for how much of the time they differ by more than 10 %; and by h
 
 from __future__ import annotations
 
-import sys
+import argparse
 
 import numpy as np
 
@@ -41,4 +41,6 @@ def main(seeds: list[int]) -> None:
 
 
 if __name__ == "__main__":
-    main([int(seed) for seed in sys.argv[1:]] or [5])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("seeds", nargs="*", type=int, default=[5], metavar="SEED", help="of the noise (default: 5)")
+    main(parser.parse_args().seeds)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,6 +11,22 @@ from pathlib import Path
 import numpy as np
 
 from tpgmm_core.common.report import Row, format_rows, write_json
+
+
+def without_options(description: str | None) -> None:
+    """Let a benchmark that has no options answer `--help`, and refuse arguments instead of running for minutes.
+
+    Parameters
+    ----------
+    description
+        what it measures
+
+    Raises
+    ------
+    SystemExit
+        for any argument
+    """
+    argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
 
 
 def write_report(name: str, rows: Sequence[Row], directory: Path = Path("out/bench")) -> int:

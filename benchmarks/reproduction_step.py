@@ -13,7 +13,7 @@ import sys  # noqa: E402
 import numpy as np  # noqa: E402
 
 import numpy_tpgmm  # noqa: E402
-from benchmarks.report import alternating, durations, write_report  # noqa: E402
+from benchmarks.report import alternating, durations, without_options, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Adapter, Gaussian  # noqa: E402
 from tpgmm_core.common.report import Row  # noqa: E402
 from workloads import W1, W2, Workload, demonstrations, pose_demonstrations  # noqa: E402
@@ -84,6 +84,7 @@ def percentiles(seconds: np.ndarray) -> dict[str, float]:
 
 
 if __name__ == "__main__":
+    without_options(__doc__)
     gc.freeze()
     status = write_report("reproduction_step", [*measure(W1), *measure(W2), measure_poses()])
     sys.exit(status | write_report("regression_at_several_times", [measure_several(W1), measure_several(W2)]))

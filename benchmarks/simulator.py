@@ -13,7 +13,7 @@ from pathlib import Path  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from benchmarks.report import durations, write_report  # noqa: E402
+from benchmarks.report import durations, without_options, write_report  # noqa: E402
 from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.control.controller import Controller  # noqa: E402
 from tpgmm_core.control.impedance import ImpedanceLaw  # noqa: E402
@@ -74,4 +74,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
+    without_options(__doc__)
     sys.exit(main())

@@ -15,7 +15,7 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")  # before numpy
 
 import numpy as np  # noqa: E402
 
-from benchmarks.report import durations, write_report  # noqa: E402
+from benchmarks.report import durations, without_options, write_report  # noqa: E402
 from tpgmm_core import TPGMM, Demonstration, Frame  # noqa: E402
 from tpgmm_core.common.report import Row  # noqa: E402
 from tpgmm_core.geometry import quaternion  # noqa: E402
@@ -93,4 +93,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    without_options(__doc__)
     main()

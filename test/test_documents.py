@@ -276,6 +276,15 @@ def test_the_nodes_of_the_page_and_its_program_reach_the_end_of_the_movement(
     assert re.match(r"reached: \d\.\d mm and \d\.\d deg", printed_after(NODES_PAGE, program))
 
 
+def test_every_benchmark_answers_help() -> None:
+    """Not by running for minutes."""
+    programs = [path for path in (ROOT / "benchmarks").glob("*.py") if "__main__" in path.read_text()]
+    assert len(programs) > 30
+    for path in programs:
+        if path.name != "networks_camera.py":  # a host that `networks.py` starts
+            assert re.search(r"ArgumentParser\(|without_options\(__doc__\)", path.read_text()), path.name
+
+
 # -- from the paper to the code
 
 

@@ -398,7 +398,7 @@ def test_a_course_that_begins_at_its_former_solution_finds_what_one_from_the_beg
 
 @pytest.mark.parametrize("jump", [0.0, 0.15, 2.5])
 def test_frames_that_move_at_each_step_leave_no_error_behind_however_long_they_do(jump: float) -> None:
-    """The factor of a former situation only saves time; a turn at once, jump, makes it useless."""
+    """The former solution only saves time; a turn at once, jump, makes it useless."""
     poses = SmoothTrajectory(pose_model(), steps=40)
     times = np.linspace(0.0, POSE_DURATION, 15)
     for i, angle in enumerate(np.linspace(0.0, 4.0 * np.pi, 120)):

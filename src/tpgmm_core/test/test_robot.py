@@ -1,6 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -335,8 +333,3 @@ def test_unreadable_robot_files_are_refused(tmp_path: Path, content: str | None)
         path.write_bytes(content.encode("latin-1"))
     with pytest.raises(RobotFileError, match="robot.yaml"):
         RobotModel.from_file(path)
-
-
-def test_importing_the_core_does_not_import_pinocchio() -> None:
-    code = "import sys, tpgmm_core; sys.exit('pinocchio' in sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
