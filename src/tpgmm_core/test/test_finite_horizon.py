@@ -174,6 +174,16 @@ def test_risk_beyond_the_breakdown_is_refused() -> None:
         continuous_horizon_gains([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], Q, 1.0, r, 0.05, noise=noise, risk=30.0)
 
 
+@pytest.mark.parametrize(
+    ("A", "B", "Q"),
+    [([[2.0]], [[0.0]], np.ones((601, 1, 1))), ([[1.0]], [[1.0]], np.array([[[0.0]], [[-1.0]]]))],
+    ids=["a value that grows beyond all numbers", "a cost of an end that is a gain"],
+)
+def test_a_step_without_gains_is_told(A: list, B: list, Q: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"not semidefinite, or grow beyond all numbers: step \d+ of \d+ has no gains"):
+        finite_horizon_gains(A, B, Q, 1.0, np.zeros((len(Q), 1)))
+
+
 def test_a_long_horizon_has_the_gains_of_the_infinite_one() -> None:
     D, dt, r = 2, 1e-3, 0.1
     precision = np.array([[30.0, 5.0], [5.0, 4.0]])

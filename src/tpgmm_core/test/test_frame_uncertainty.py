@@ -54,6 +54,20 @@ def test_the_pose_error_reaches_a_component_as_numerical_derivatives_say() -> No
         np.testing.assert_allclose(weight * adapted, expected, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("variance", [1e4, 1e8, 1e12, 1e30])
+def test_what_is_not_known_at_all_in_one_direction_hides_nothing_in_the_others(variance: float) -> None:
+    """Along a diagonal, so that rounding of the large numbers meets all of the entries."""
+    P = np.zeros((6, 6))
+    P[:2, :2] = 0.5 * variance
+    model = model_of("object", np.array([0.1, 0.2, 0.3]), 1e-6 * np.eye(3), Manifold.euclidean(3))
+    frame = Frame(np.eye(3), np.array([1.0, 2.0, 3.0]), pose_covariance=P)
+    found = np.linalg.inv(model.adapt({"object": frame}).covariances[0])
+    axes = np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, np.sqrt(2.0)]]) / np.sqrt(2.0)
+    seen = np.diag(axes @ found @ axes.T)
+    np.testing.assert_allclose(seen[1:], 1e6, rtol=1e-5)
+    assert seen[0] == pytest.approx(1.0 / (1e-6 + min(variance, 1e4)), rel=1e-2)
+
+
 @pytest.fixture(scope="module")
 def model() -> TPGMM:
     return TPGMM(3, manifold=MANIFOLD).fit(reaching_demonstrations())

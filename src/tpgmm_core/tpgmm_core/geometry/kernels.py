@@ -16,7 +16,7 @@ import numpy as np
 from tpgmm_core.common.constants import ORTHOGONAL
 from tpgmm_core.common.types import Array
 
-# Exact: as written, but for what IEEE 754 leaves open. Nothing calls from C.
+# Sums in the order that is written; a division by zero gives infinity or NaN; no wrapper for callers in C.
 EXACT: Any = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 # Sums may be reordered and fused so that they vectorise; NaN and infinity keep their meaning.
 FAST: Any = {**EXACT, "fastmath": {"reassoc", "contract", "nsz"}}

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tpgmm_core.common.types import Array
-from tpgmm_core.geometry.kernels import EXACT, cholesky, gram, invert_lower, solve_in_place
+from tpgmm_core.geometry.kernels import EXACT, cholesky, gram, invert_lower, is_finite, solve_in_place
 from tpgmm_core.lqr.riccati import square_root
 
 
@@ -92,8 +92,9 @@ def finite_horizon_gains(
     Raises
     ------
     ValueError
-        for shapes that do not fit, values that are not finite, a control cost that is not positive definite, and a risk
-        so large that the expectation is infinite from some step on (the breakdown)
+        for shapes that do not fit, values that are not finite, a control cost that is not positive definite, state
+        costs so far from semidefinite or so large that a step has no gains, and a risk so large that the expectation is
+        infinite from some step on (the breakdown)
     """
     A, B, Q, R, r = checked_problem(A, B, state_costs, control_cost, references)
     (T, n), m = (len(Q) - 1, A.shape[1]), B.shape[2]
@@ -105,6 +106,10 @@ def finite_horizon_gains(
         raise ValueError(f"noise and risk must be finite, got the risk {risk}")
     gains, feedforward = np.empty((T, m, n)), np.empty((T, m))
     broken = _recursion(A, B, Q, R, r, square_root(W) if len(W) else W, float(risk), gains, feedforward)
+    if broken < -1:
+        raise ValueError(
+            f"the costs are not semidefinite, or grow beyond all numbers: step {-2 - broken} of {T} has no gains"
+        )
     if broken >= 0:
         raise ValueError(
             f"the risk {risk:g} is beyond the breakdown: from step {broken} of {T} on, the expected cost is infinite "
@@ -166,8 +171,8 @@ def checked_problem(
 def _recursion(A, B, Q, R, r, L, risk, gains, feedforward):  # type: ignore[no-untyped-def]
     """The value of being at x at time t is x^T P x - 2 x^T p + const; writes gains and feedforward.
 
-    L (0, 1 or T, n, n): square roots of the noise. What does not vary has one entry. Returns the step from which the
-    risk is too large, or -1.
+    L (0, 1 or T, n, n): square roots of the noise. What does not vary has one entry. Returns -1, the step t from which
+    the risk is too large, or -2 - t for the step that has no gains.
     """
     T, m, n = gains.shape
     P = Q[T].copy()
@@ -202,11 +207,14 @@ def _recursion(A, B, Q, R, r, L, risk, gains, feedforward):  # type: ignore[no-u
                 system[i, j] += Rt[i, j]
             for j in range(n):
                 columns[i, j] = of_state[i, j]
-        solve_in_place(system, columns, 0.0)  # R is definite, hence the sum
+        if not solve_in_place(system, columns, 0.0):
+            return -2 - t
         for i in range(m):
             feedforward[t, i] = columns[i, n]
             for j in range(n):
                 gains[t, i, j] = columns[i, j]
+                if not is_finite(columns[i, j]):
+                    return -2 - t
         closed = Bt @ gains[t]
         for i in range(n):
             for j in range(n):

@@ -101,6 +101,8 @@ def receding_horizon_gains(
             f"expected a control cost > 0 and 0 < min_stiffness <= max_stiffness, got {control_cost}, {min_stiffness} "
             f"and {max_stiffness}"
         )
+    if not (np.isfinite(risk_share) and 0.0 < risk_stiffness < np.inf):
+        raise ValueError(f"expected a finite risk_share and a risk_stiffness > 0, got {risk_share}, {risk_stiffness}")
     if len(x) > 1 and not 0.0 < time_step < np.inf:
         raise ValueError(f"a time step is positive and finite, in s; got {time_step}")
     n = x.shape[1]
@@ -220,7 +222,7 @@ def moving_gains(
                     Y_T[a * n + i, n + i] += phi[i, 3, a]
                 forward[i] = phi[i, 0, 2] * p[i] + phi[i, 0, 3] * p[n + i]
                 forward[n + i] = phi[i, 1, 2] * p[i] + phi[i, 1, 3] * p[n + i]
-            solve_in_place(X_T, Y_T, 0.0)
+            solve_in_place(X_T, Y_T, 0.0)  # X is regular: from where the state is, it goes on to one place alone
             for i in range(2 * n):
                 for j in range(2 * n):
                     P[i, j] = 0.5 * (Y_T[i, j] + Y_T[j, i])

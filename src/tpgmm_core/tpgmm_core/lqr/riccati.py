@@ -191,7 +191,7 @@ def _discrete(E, G, H):  # type: ignore[no-untyped-def]
         for i in range(n):
             for j in range(i + 1):
                 G[i, j] = G[j, i] = 0.5 * (G[i, j] + G[j, i] + further[i, j] + further[j, i])
-                H[i, j] = H[j, i] = H[i, j] + 0.5 * (gain[i, j] + gain[j, i])
+                H[i, j] = H[j, i] = 0.5 * (H[i, j] + H[j, i] + gain[i, j] + gain[j, i])
                 if not is_finite(gain[i, j] + gain[j, i]):
                     return H, False
                 change = max(change, abs(gain[i, j]), abs(gain[j, i]))

@@ -8,6 +8,10 @@ import numpy as np
 from tpgmm_core.common.types import Array
 from tpgmm_core.geometry.kernels import compiled, inlined, solve_in_place
 
+#: In directions in which a pose is known this much worse than a component, that says nothing. Larger variances would
+#: hide by their rounding what is known in others.
+LARGEST_RATIO = 1e10
+
 
 @compiled
 def position_start(flat: Array, spheres: Array) -> int:
@@ -39,6 +43,18 @@ def is_uncertain(P: Array) -> bool:
     return trace > 0.0
 
 
+@compiled
+def bounded(P: Array, largest: float) -> Array:
+    """A covariance (6, 6) whose eigenvalues are at most `largest`."""
+    values, axes = np.linalg.eigh(P)
+    result = np.zeros((6, 6))
+    for i in range(6):
+        for m in range(6):
+            for k in range(6):
+                result[i, m] += axes[i, k] * axes[m, k] * min(values[k], largest)
+    return result
+
+
 @inlined
 def lessen(P: Array, weight: float, targets: Array, b: Array, flat: Array, spheres: Array, terms: Array) -> None:
     """Precisions of a frame's components, in the common frame, when its own pose is uncertain, to first order.
@@ -64,7 +80,7 @@ def lessen(P: Array, weight: float, targets: Array, b: Array, flat: Array, spher
     """
     n, K = len(flat), targets.shape[1]
     p = position_start(flat, spheres)
-    J, JP, S = np.zeros((n, 6)), np.empty((n, 6)), np.empty((n, n))
+    J, TJ, PJ = np.zeros((n, 6)), np.empty((n, 6)), np.empty((6, n))
     T, M, less = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
     for i in range(3):
         J[p + i, i] = 1.0
@@ -81,22 +97,27 @@ def lessen(P: Array, weight: float, targets: Array, b: Array, flat: Array, spher
             for i in range(n):
                 T[o, i] = terms[o, i * K + k] / weight
                 less[o, i] = T[o, i]
-        for o in range(n):
-            for i in range(6):
-                JP[o, i] = 0.0
+        sharpest, spread = 0.0, 0.0
+        for i in range(6):
+            sharp = 0.0
+            for o in range(n):
+                TJ[o, i] = 0.0
+                for m in range(n):
+                    TJ[o, i] += T[o, m] * J[m, i]
+                sharp += J[o, i] * TJ[o, i]
+            sharpest, spread = max(sharpest, sharp), spread + P[i, i]
+        known = P if sharpest * spread <= LARGEST_RATIO else bounded(P, LARGEST_RATIO / sharpest)
+        for i in range(6):
+            for o in range(n):
+                PJ[i, o] = 0.0
                 for m in range(6):
-                    JP[o, i] += J[o, m] * P[m, i]
-        for o in range(n):
-            for i in range(n):
-                S[o, i] = 0.0
-                for m in range(6):
-                    S[o, i] += JP[o, m] * J[i, m]
-        # (T^-1 + S)^-1 without an inverse of T, which may be singular
+                    PJ[i, o] += known[i, m] * J[o, m]
+        # (T^-1 + J P J^T)^-1 without an inverse of T, which may be singular
         for o in range(n):
             for i in range(n):
                 M[o, i] = 1.0 if o == i else 0.0
-                for m in range(n):
-                    M[o, i] += T[o, m] * S[m, i]
+                for m in range(6):
+                    M[o, i] += TJ[o, m] * PJ[m, i]
         is_regular = solve_in_place(M, less, 0.0)  # always, but for numbers that overflow: then nothing is known
         for o in range(n):
             for i in range(n):

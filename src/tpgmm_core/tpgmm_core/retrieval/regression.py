@@ -177,10 +177,14 @@ class RegressThenProduct(_Regression):
         seen, precisions = self._views_for(len(times))
         activations = np.empty(len(self._log_priors))
         failed = kernels_regress.regress_views(*self._views, self._buffer.weights, times, seen, precisions, activations)
+        self._refuse_singular(failed)
+        return *self._product(times, seen, precisions), activations
+
+    def _refuse_singular(self, failed: int) -> None:
+        """Raise ValueError for the frame of this index, unless it is -1."""
         if failed >= 0:
             name = self.frame_names[failed]
             raise ValueError(f"the covariances of frame {name!r} are singular: fit with a larger reg_covar")
-        return *self._product(times, seen, precisions), activations
 
     def _views_for(self, H: int) -> tuple[Array, Array]:
         """What each frame sees at H times, still to be written: means (P, D, H) and precisions (P, n, n H)."""

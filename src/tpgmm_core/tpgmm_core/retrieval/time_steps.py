@@ -100,16 +100,17 @@ class TimeSteps(RegressThenProduct):
         Raises
         ------
         ValueError
-            where the frames contradict each other so much that there is no product
+            as of `RegressThenProduct.at`
         """
         times = np.clip(np.asarray(times, dtype=float), self._grid[0], self._grid[-1])
         if self._local is not None:
             self._local.at(times)
         seen, precisions = self._views_for(len(times))
-        views_at(
+        failed = views_at(
             self._grid, self._points, self._velocities, self._within, self._data_sizes, *self._view(self.manifold),
             self._buffer.weights, times, seen, precisions,
         )  # fmt: skip
+        self._refuse_singular(failed)
         means, covariances = self._product(times, seen, precisions)
         near = np.maximum(1.0 - np.abs(self._grid - times[0]) / (self._grid[1] - self._grid[0]), 0.0)
         return means, covariances, near / near.sum()
@@ -119,7 +120,7 @@ class TimeSteps(RegressThenProduct):
 def views_at(
     grid: Array, points: Array, velocities: Array, within: Array, sizes: Array, flat: Array, spheres: Array,
     weights: Array, times: Array, out_means: Array, out_precisions: Array,
-) -> None:  # fmt: skip
+) -> int:  # fmt: skip
     """Each frame's Gaussian at some times, laid out for `kernels_adapt.adapt` as if the times were components.
 
     Parameters
@@ -138,6 +139,11 @@ def views_at(
         (H,), s, within the grid
     out_means, out_precisions
         (P, D_max, H) and (P, n_max, n_max H), written for the frames with a weight
+
+    Returns
+    -------
+    int
+        -1, or the frame whose covariance is singular
     """
     P, H = len(points), len(times)
     for j in range(P):
@@ -157,4 +163,6 @@ def views_at(
                     S[o, m] = (1.0 - s) * within[j, i, o, m] + s * within[j, i + 1, o, m]
             for o in range(D):
                 out_means[j, o, h] = means[h, o]
-            lay_out_precision(S, L, h, H, out_precisions[j])  # definite, as both are
+            if not lay_out_precision(S, L, h, H, out_precisions[j]):
+                return j
+    return -1
