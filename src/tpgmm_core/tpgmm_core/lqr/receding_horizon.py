@@ -222,7 +222,7 @@ def moving_gains(
                     Y_T[a * n + i, n + i] += phi[i, 3, a]
                 forward[i] = phi[i, 0, 2] * p[i] + phi[i, 0, 3] * p[n + i]
                 forward[n + i] = phi[i, 1, 2] * p[i] + phi[i, 1, 3] * p[n + i]
-            solve_in_place(X_T, Y_T, 0.0)  # X is regular: from where the state is, it goes on to one place alone
+            solve_in_place(X_T, Y_T, 0.0)  # X leads from the end to the beginning: it has an inverse
             for i in range(2 * n):
                 for j in range(2 * n):
                     P[i, j] = 0.5 * (Y_T[i, j] + Y_T[j, i])
