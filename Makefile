@@ -224,8 +224,9 @@ $(DONE)/packages: tools/link_packages.py $(DONE)/interfaces $(DONE)/standard-int
 	@$(PYTHON) tools/link_packages.py src/tpgmm_core src/tpgmm_ros src/tpgmm_demos src/tpgmm_workbench
 	@touch $@
 
-# A compiled function keeps what it was compiled from, also when a function of another file that it calls has changed
-COMPILED := $(shell grep -rlE "compiled|njit" src/tpgmm_core/tpgmm_core --include="*.py")
+# A compiled function keeps what it was compiled from, also when a function of another file that it calls has changed.
+# Level 2 of LLVM takes a fifth less time than 3, and what it makes is as fast.
+COMPILED := $(shell grep -rlE "compiled|inlined|njit" src/tpgmm_core/tpgmm_core --include="*.py")
 $(DONE)/kernels: $(DONE)/packages $(COMPILED)
 	$(call say,compiled kernels (2 minutes; more beside other work))
 	@find src/tpgmm_core/tpgmm_core -name "*.nb[ic]" -delete

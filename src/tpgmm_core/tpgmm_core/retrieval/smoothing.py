@@ -108,6 +108,7 @@ def smoothest(
             f"no smooth trajectory was found in {MAX_ITERATIONS} steps: either the orientations of neighbouring states "
             "contradict each other (check the frames), or times are too close together (take longer time steps)"
         )
+    # contiguous: `interpolate` is compiled for one layout
     velocities, accelerations = np.ascontiguousarray(rates[:, :n]), np.ascontiguousarray(rates[:, n:])
     return Smooth(points, velocities, accelerations, iterations)
 
